@@ -4,6 +4,7 @@ from .drawing.drawing import node_name as node_name
 from .drawing.drawing import node_names as node_names
 from .drawing.framing import FIELD_OF_VIEW as FIELD_OF_VIEW
 from .drawing.framing import frame as frame
+from .drawing.framing import hills as hills
 from .drawing.framing import part_behind as part_behind
 from .drawing.kept_axes import kept_axes as kept_axes
 from .drawing.machine_meshes import machine_meshes as machine_meshes

@@ -30,6 +30,7 @@ from backhoe_planner.show import (
     fattened,
     frame,
     grid,
+    hills,
     kept_axes,
     machine_meshes,
     margin_rgb,
@@ -259,6 +260,36 @@ def test_every_goal_is_drawn_and_a_joint_goal_as_the_tips_frame(backhoe: Robot) 
     assert any(path.startswith("/task/goal 2/pitch") for path in drawn)
 
 
+def test_the_hills_of_a_ground_are_its_high_parts() -> None:
+    """Ground of 40 x 40 m with a bank of 5 m from x = 30 m on, in boxes of 1 m."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.25, 40.1, 0.5), np.arange(0.25, 40.1, 0.5)))
+    ground = np.column_stack((x, y, np.where(x > 30.0, 5.0, 0.0)))
+    boxes = hills(ground, above=0.5)
+    np.testing.assert_allclose(boxes[:, 1, 2], 5.0)
+    np.testing.assert_allclose(boxes[:, 0, 2], 0.0)
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    assert 29.0 < low[0] <= 30.25 + 1e-9
+    assert high[0] >= 39.75
+    assert low[1] <= 0.25
+    assert high[1] >= 39.75
+    assert hills(ground, above=6.0).shape == (0, 2, 3)
+    behind = np.array([[20.0, 20.0, 1.0]])
+    assert part_behind(boxes, behind, np.array([45.0, 20.0, 3.0])) == 1.0  # through the bank
+    assert part_behind(boxes, behind, np.array([5.0, 20.0, 3.0])) == 0.0
+
+
+def test_the_camera_is_on_the_open_side_of_a_bank(backhoe: Robot, tmp_path: Path) -> None:
+    """A bank of 8 m, 6 m in front of the machine: from behind it nothing of the machine would be seen."""
+    heights = np.full((61, 61), -0.2)
+    heights[:, 36:] = 8.0  # from x = 6 m on
+    np.savetxt(tmp_path / "bank.csv", heights, delimiter=",", fmt="%.2f")
+    bank = {"name": "bank", "shape": "heightmap", "file": "bank.csv", "size": [60.0, 60.0]}
+    content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
+    scene = scene_from_dict({**content, "obstacles": [bank]}, folder=tmp_path)
+    eye = SceneGraph(Display().visualizer(), build_problem(backhoe, scene)).view().eye()
+    assert eye[0] < 5.0
+
+
 def row_of_balls(count: int, **keys: Any) -> list[dict[str, Any]]:
     """Balls of 0.5 m radius, 3 m apart from 30 m on, along x: out of reach."""
     balls: list[dict[str, Any]] = [
@@ -286,10 +317,30 @@ def test_many_obstacles_out_of_reach_are_drawn_as_one(backhoe: Robot) -> None:
     assert nodes == {"far away", "far away_"}  # the second is the node of all 51 balls
     assert graph.drawn_as_one == {f"ball {number}" for number in range(51)}
     assert set(graph.anchors) == {"far away"}
-    for obstacles, each in (([near, *row_of_balls(51)], True), ([near, *row_of_balls(50)], False)):
+    boxes = [{**near, "name": one["name"], "position": one["position"]} for one in row_of_balls(51)]
+    for obstacles, each in ((boxes, True), (boxes[:50], False)):
         graph, nodes = site_nodes(backhoe, obstacles, each=each)
         assert nodes == {one["name"] for one in obstacles}
         assert not graph.drawn_as_one
+
+
+def test_among_many_boxes_the_hidden_part_is_found_from_some_of_the_points() -> None:
+    """Half of 40,000 points are behind 20 walls, one behind the other."""
+    walls = np.array([[[x, 0.0, -1.0], [x + 0.1, 50.0, 9.0]] for x in np.arange(5.0, 7.0, 0.1)])
+    points = np.random.default_rng(6).uniform([10.0, -10.0, 0.0], [11.0, 10.0, 1.0], (40_000, 3))
+    assert part_behind(walls, points, np.zeros(3)) == pytest.approx(0.5, abs=0.02)
+
+
+def test_round_obstacles_have_fewer_triangles_among_many(backhoe: Robot) -> None:
+    content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
+    scene = scene_from_dict({**content, "obstacles": row_of_balls(1)})
+    (ball,) = build_obstacles(scene, backhoe)
+    for among, faces in ((1, 1280), (200, 80)):
+        drawn = site_mesh(ball, scene, centre=np.zeros(3), reach=5.0, among=among)
+        assert drawn.shell is not None
+        assert len(drawn.facets.faces) == len(drawn.shell.faces) == faces  # 20 times 4 for each subdivision
+        away = np.linalg.norm(drawn.shell.vertices - [30.0, 0.0, 0.0], axis=1)
+        np.testing.assert_allclose(away, 0.5 + 0.05)
 
 
 @pytest.mark.parametrize("keys", [{"velocity": [-1.0, 0.0, 0.0]}, {"appears_at": 2.0}])

@@ -37,7 +37,7 @@ from backhoe_planner.show.drawing.drawing import (
     set_property,
     set_stage,
 )
-from backhoe_planner.show.drawing.framing import View, frame, part_behind
+from backhoe_planner.show.drawing.framing import View, frame, hills, part_behind
 from backhoe_planner.show.drawing.ground import draw_ground, opening_of
 from backhoe_planner.show.drawing.kept_axes import kept_axes
 from backhoe_planner.show.drawing.loads import load_meshes
@@ -58,6 +58,7 @@ _FAR_AWAY = "far away"
 # part of the tip's reach, and m at most, that is as good as level with the ground; chosen: the top of a table before an
 # arm is not
 _SHALLOW, _MOST_SHALLOW = 0.01, 0.05
+_LOW_GROUND = 0.5  # m above the machine's lowest point up to which ground hides nothing; chosen
 _ROWS_IN_VIEW = 24  # frames of a motion that the camera keeps in view; chosen
 
 
@@ -119,7 +120,8 @@ class SceneGraph:
         self._opening = opening
         self.has_ground = not any(is_ground(obstacle) for obstacle in self._drawn)
         self._site = tuple(
-            site_mesh(obstacle, problem.scene, centre=centre, reach=self._radius) for obstacle in self._drawn
+            site_mesh(obstacle, problem.scene, centre=centre, reach=self._radius, among=len(self._drawn))
+            for obstacle in self._drawn
         )
         self.anchors = {drawn.name: drawn.anchor for drawn in self._site}
         away = self.view()
@@ -308,12 +310,13 @@ class SceneGraph:
 
     def _opaque_boxes(self) -> Array:
         """(B, 2, 3) lowest and highest corners of the boxes that hide the machine from view [m], world."""
-        boxes = [
-            drawn.bounds
-            for obstacle, drawn in zip(self._drawn, self._site, strict=True)
-            if drawn.bounds is not None and drawn.rgba[3] == 1.0 and not is_ground(obstacle)
-        ]
-        return np.array(boxes).reshape(-1, 2, 3)
+        boxes = []
+        above = float(self._machine_points[:, 2].min()) + _LOW_GROUND
+        for obstacle, drawn in zip(self._drawn, self._site, strict=True):
+            if drawn.bounds is None or drawn.rgba[3] < 1.0:
+                continue
+            boxes.append(hills(drawn.facets.vertices, above=above) if is_ground(obstacle) else drawn.bounds[None])
+        return np.concatenate([np.zeros((0, 2, 3)), *boxes])
 
     def look(self, points: Matrix) -> View:
         """Point the camera so that the site and all `points` (k, 3) are in view [m], world."""

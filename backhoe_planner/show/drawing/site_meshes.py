@@ -19,6 +19,7 @@ _MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded exactly; c
 _MOST_TRIANGLES = 40_000  # drawn per obstacle; chosen: some 3 MB of a page
 _MANY_FAR = 50  # obstacles out of reach from which on they are drawn as one; chosen: a picture of 2,000 nodes is slow
 _MOST_FAR = 200_000  # triangles of all that is drawn as one, if the shapes allow it; chosen: some 10 MB of a page
+_MANY_NEAR = 100  # obstacles with nodes of their own from which on round ones have fewer triangles; chosen
 _FEWEST = 200  # triangles of one of them; chosen, a car is still recognised
 
 # colours, chosen by eye
@@ -105,14 +106,16 @@ def _simple(obstacle: Obstacle, most: int) -> trimesh.Trimesh:
     return trimesh.util.concatenate([solid(piece, rough=True) for piece in obstacle.pieces])
 
 
-def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float) -> SiteMesh:
+def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float, among: int = 1) -> SiteMesh:
     """The drawing of one obstacle.
 
     Parameters
     ----------
     centre: (3,) middle of the machine [m]; a plane is drawn around it.
     reach: radius up to which a plane is drawn [m].
+    among: the number of obstacles that are drawn; round ones have fewer triangles among many.
     """
+    rough = among > _MANY_NEAR
     spec = obstacle.spec
     if isinstance(spec, obstacle_shapes.HalfSpace):
         return _plane(obstacle, spec, centre, reach)
@@ -125,15 +128,15 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
         drawn.apply_transform(spec.placement.homogeneous)
         drawn = trimesh.Trimesh(drawn.vertices, drawn.faces)
     else:
-        drawn = trimesh.util.concatenate([solid(piece) for piece in obstacle.pieces])
+        drawn = trimesh.util.concatenate([solid(piece, rough=rough) for piece in obstacle.pieces])
     low, high = drawn.bounds
     anchor = np.array([*(0.5 * (low + high))[:2], high[2]])
     if isinstance(spec, obstacle_shapes.Capsule) and high[2] - low[2] < 0.5 * max(high[0] - low[0], high[1] - low[1]):
         anchor = np.array([*spec.start[:2], spec.start[2] + spec.radius])  # a pipe: its end is easier to see
     rgba = _colour(obstacle, drawn)
+    shell = None if obstacle.clearance == 0.0 else facets(_shell(obstacle, rough=rough))
     return SiteMesh(
-        name=obstacle.name, facets=facets(drawn), rgba=rgba,
-        shell=None if obstacle.clearance == 0.0 else facets(_shell(obstacle)), shell_rgba=(*rgba[:3], 0.16),
+        name=obstacle.name, facets=facets(drawn), rgba=rgba, shell=shell, shell_rgba=(*rgba[:3], 0.16),
         anchor=np.asarray(anchor, dtype=float), bounds=np.asarray(drawn.bounds, dtype=float),
     )  # fmt: skip
 
@@ -162,10 +165,11 @@ def _ground(obstacle: Obstacle, surface: trimesh.Trimesh) -> SiteMesh:
     )  # fmt: skip
 
 
-def _shell(obstacle: Obstacle) -> trimesh.Trimesh:
+def _shell(obstacle: Obstacle, *, rough: bool) -> trimesh.Trimesh:
     pieces = obstacle.pieces
     if len(pieces) <= _MOST_ROUNDED:
-        return trimesh.util.concatenate([fattened(piece.hull, piece.radius + obstacle.clearance) for piece in pieces])
+        grown_pieces = [fattened(piece.hull, piece.radius + obstacle.clearance, rough=rough) for piece in pieces]
+        return trimesh.util.concatenate(grown_pieces)
     boxes = []  # too many to round: use boxes around them, a little larger than the true shell
     for piece in pieces:
         grown = piece.radius + obstacle.clearance
