@@ -102,8 +102,9 @@ class Looks:
 
     def widen(self, margins: Margins) -> None:
         """Use a larger reach from now on where a curve with these margins goes into an obstacle."""
-        deep = np.unique(margins.place[margins.margin < -_MUCH])
-        self._widened += int(np.count_nonzero(self._reach[deep] < _FAR))
+        deep = np.zeros(self.places, dtype=bool)
+        deep[margins.place[margins.margin < -_MUCH]] = True
+        self._widened += int(np.count_nonzero(deep & (self._reach < _FAR)))
         self._reach[deep] = _FAR
 
     def _margins_at(self, q: Matrix, places: Indices) -> Margins:

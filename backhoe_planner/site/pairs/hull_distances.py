@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -71,9 +72,10 @@ class HullDistances:
         left = np.isnan(found.distance).nonzero()[0]
         if not len(left):
             return found
-        rows, firsts = np.unique(found.row[left], return_index=True)
-        for row, first, after in zip(rows.tolist(), firsts.tolist(), [*firsts[1:].tolist(), len(left)], strict=True):
+        ends = [0, *(np.flatnonzero(np.diff(found.row[left])) + 1).tolist(), len(left)]
+        for first, after in pairwise(ends):
             those = left[first:after]
+            row = int(found.row[those[0]])
             pairs = found.pair[those]
             results, J = self._measure(q[row], pairs)
             found.distance[those] = found.lower[row, pairs] = results[:, 0]
