@@ -13,6 +13,7 @@ from .clusters.distance_grid import lower_on_grid as lower_on_grid
 from .clusters.mesh_solid import MeshSolid as MeshSolid
 from .clusters.parts import Part as Part
 from .clusters.solid import HeightMap as HeightMap
+from .clusters.solid import clustered as clustered
 from .clusters.terrain import TerrainSolid as TerrainSolid
 from .clusters.terrain import surface_under as surface_under
 from .clusters.trees import Reading as Reading

@@ -44,8 +44,10 @@ from backhoe_planner.show import (
     together,
     tube,
 )
+from backhoe_planner.show.drawing import site_meshes
 from backhoe_planner.site import build_obstacles, scene_from_dict
 
+GOAL = {"goal": {"position": [3.0, 1.0, 0.0]}}
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
 
 
@@ -302,7 +304,7 @@ def row_of_balls(count: int, **keys: Any) -> list[dict[str, Any]]:
 
 def site_nodes(robot: Robot, obstacles: list[dict[str, Any]], *, each: bool = False) -> tuple[SceneGraph, set[str]]:
     """The picture of a site, and the nodes of its obstacles."""
-    content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
+    content = {"version": 1, "start": {"joints": dict.fromkeys(robot.joint_names, 0.1)}, "task": GOAL}
     display = Display()
     graph = SceneGraph(
         display.visualizer(), build_problem(robot, scene_from_dict({**content, "obstacles": obstacles})), each=each
@@ -311,15 +313,15 @@ def site_nodes(robot: Robot, obstacles: list[dict[str, Any]], *, each: bool = Fa
     return graph, {path.split("/")[2] for path in paths if path.startswith("/site/")}
 
 
-def test_many_obstacles_out_of_reach_are_drawn_as_one(backhoe: Robot) -> None:
+def test_many_obstacles_out_of_reach_are_drawn_as_one(planar4: Robot) -> None:
     near: dict[str, Any] = {"name": "far away", "shape": "box", "size": [1.0, 1.0, 1.0], "position": [3.0, 3.0, 0.5]}
-    graph, nodes = site_nodes(backhoe, [near, *row_of_balls(51)])
+    graph, nodes = site_nodes(planar4, [near, *row_of_balls(51)])
     assert nodes == {"far away", "far away_"}  # the second is the node of all 51 balls
     assert graph.drawn_as_one == {f"ball {number}" for number in range(51)}
     assert set(graph.anchors) == {"far away"}
     boxes = [{**near, "name": one["name"], "position": one["position"]} for one in row_of_balls(51)]
     for obstacles, each in ((boxes, True), (boxes[:50], False)):
-        graph, nodes = site_nodes(backhoe, obstacles, each=each)
+        graph, nodes = site_nodes(planar4, obstacles, each=each)
         assert nodes == {one["name"] for one in obstacles}
         assert not graph.drawn_as_one
 
@@ -331,10 +333,36 @@ def test_among_many_boxes_the_hidden_part_is_found_from_some_of_the_points() -> 
     assert part_behind(walls, points, np.zeros(3)) == pytest.approx(0.5, abs=0.02)
 
 
-def test_round_obstacles_have_fewer_triangles_among_many(backhoe: Robot) -> None:
-    content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
+def test_a_fine_hull_is_grown_along_its_normals() -> None:
+    """10,242 corners on a ball of 1 m, grown by 0.1 m: not the hull of all their 1.7 million surroundings."""
+    ball = trimesh.creation.icosphere(subdivisions=5)
+    grown = fattened(np.asarray(ball.vertices), 0.1)
+    assert len(grown.faces) == len(ball.faces)
+    np.testing.assert_allclose(np.linalg.norm(grown.vertices, axis=1), 1.1, atol=1e-4)
+    assert grown.volume > 0.0
+
+
+def test_a_fine_convex_mesh_is_drawn_with_fewer_triangles(
+    planar4: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(site_meshes, "_MOST_TRIANGLES", 1000)
+    trimesh.creation.icosphere(subdivisions=4).export(tmp_path / "ball.stl")  # 5,120 triangles
+    mesh = {"name": "ball", "shape": "mesh", "file": "ball.stl", "position": [3.0, 3.0, 0.0]}
+    content = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
+    scene = scene_from_dict({**content, "obstacles": [mesh]}, folder=tmp_path)
+    (obstacle,) = build_obstacles(scene, planar4)
+    drawn = site_mesh(obstacle, scene, centre=np.zeros(3), reach=5.0)
+    assert drawn.shell is not None
+    for surface, radius in ((drawn.facets, 1.0), (drawn.shell, 1.05)):
+        assert 100 < len(surface.faces) <= 1000
+        away = np.linalg.norm(surface.vertices - [3.0, 3.0, 0.0], axis=1)
+        np.testing.assert_allclose(away, radius, atol=0.01)
+
+
+def test_round_obstacles_have_fewer_triangles_among_many(planar4: Robot) -> None:
+    content = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
     scene = scene_from_dict({**content, "obstacles": row_of_balls(1)})
-    (ball,) = build_obstacles(scene, backhoe)
+    (ball,) = build_obstacles(scene, planar4)
     for among, faces in ((1, 1280), (200, 80)):
         drawn = site_mesh(ball, scene, centre=np.zeros(3), reach=5.0, among=among)
         assert drawn.shell is not None
@@ -344,8 +372,8 @@ def test_round_obstacles_have_fewer_triangles_among_many(backhoe: Robot) -> None
 
 
 @pytest.mark.parametrize("keys", [{"velocity": [-1.0, 0.0, 0.0]}, {"appears_at": 2.0}])
-def test_what_moves_or_appears_far_away_has_a_node_of_its_own(backhoe: Robot, keys: dict[str, Any]) -> None:
-    graph, nodes = site_nodes(backhoe, row_of_balls(52, **keys))
+def test_what_moves_or_appears_far_away_has_a_node_of_its_own(planar4: Robot, keys: dict[str, Any]) -> None:
+    graph, nodes = site_nodes(planar4, row_of_balls(52, **keys))
     assert nodes == {"ball 0", "far away"}
     assert "ball 0" not in graph.drawn_as_one
 

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.machine import Cluster
+from backhoe_planner.machine import Cluster, clustered
 from backhoe_planner.show.drawing.palette import SOIL, Rgba
 from backhoe_planner.show.drawing.solids import Facets, cells, disc, facets, fattened, grid, solid, together
 from backhoe_planner.site import Obstacle, Scene, read_heights
@@ -124,7 +124,7 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float,
     if isinstance(spec, obstacle_shapes.HeightMap):
         return _ground(obstacle, _terrain(spec, scene))
     if isinstance(spec, obstacle_shapes.Mesh):
-        drawn = spec.loaded(scene.folder)
+        drawn = _reduced(spec.loaded(scene.folder))
         drawn.apply_transform(spec.placement.homogeneous)
         drawn = trimesh.Trimesh(drawn.vertices, drawn.faces)
     else:
@@ -134,7 +134,7 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float,
     if isinstance(spec, obstacle_shapes.Capsule) and high[2] - low[2] < 0.5 * max(high[0] - low[0], high[1] - low[1]):
         anchor = np.array([*spec.start[:2], spec.start[2] + spec.radius])  # a pipe: its end is easier to see
     rgba = _colour(obstacle, drawn)
-    shell = None if obstacle.clearance == 0.0 else facets(_shell(obstacle, rough=rough))
+    shell = None if obstacle.clearance == 0.0 else facets(_reduced(_shell(obstacle, rough=rough)))
     return SiteMesh(
         name=obstacle.name, facets=facets(drawn), rgba=rgba, shell=shell, shell_rgba=(*rgba[:3], 0.16),
         anchor=np.asarray(anchor, dtype=float), bounds=np.asarray(drawn.bounds, dtype=float),
@@ -163,6 +163,13 @@ def _ground(obstacle: Obstacle, surface: trimesh.Trimesh) -> SiteMesh:
         shell=None if obstacle.clearance == 0.0 else lifted, shell_rgba=(*SOIL, 0.16),
         anchor=surface.vertices[np.argmax(surface.vertices[:, 2])], bounds=surface.bounds, one_sided=True,
     )  # fmt: skip
+
+
+def _reduced(surface: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The surface, with fewer triangles if it has too many to be drawn."""
+    if len(surface.faces) <= _MOST_TRIANGLES:
+        return surface
+    return trimesh.Trimesh(*clustered(surface.vertices, surface.faces, _MOST_TRIANGLES), process=False)
 
 
 def _shell(obstacle: Obstacle, *, rough: bool) -> trimesh.Trimesh:
