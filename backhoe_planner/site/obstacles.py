@@ -88,6 +88,11 @@ class Obstacle:
         ends = np.array([_bounds_of(piece) for piece in self.pieces])
         return np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
 
+    def box_away_unchecked(self, point: Vector) -> float:
+        """How far the box around it is from a point (3,) [m]; 0 in the box."""
+        low, high = self.bounds
+        return float(np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0)))
+
     @property
     def moves(self) -> bool:
         """Whether it has a velocity."""
@@ -104,8 +109,7 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
     centre, radius = reach_ball(robot)
     found, out_of_reach, within_reach = list[str](), list[str](), False
     for obstacle in obstacles:
-        low, high = obstacle.bounds
-        away = float(np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0)))
+        away = obstacle.box_away_unchecked(centre)
         if overhead := _ground_overhead(obstacle, centre + np.array([0.0, 0.0, radius])):
             found.append(overhead)
             continue

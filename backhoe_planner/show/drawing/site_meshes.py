@@ -80,10 +80,8 @@ def drawn_as_one(obstacles: Sequence[Obstacle], *, centre: Vector, reach: float)
     """
     found = []
     for obstacle in obstacles:
-        low, high = obstacle.bounds
-        away = float(np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0)))
         stays = not obstacle.moves and obstacle.appears_at == 0.0 and obstacle.spec.legs is None
-        if away > reach and stays and obstacle.zone is None and not is_ground(obstacle):
+        if obstacle.box_away_unchecked(centre) > reach and stays and obstacle.zone is None and not is_ground(obstacle):
             found.append(obstacle)
     return tuple(found) if len(found) > _MANY_FAR else ()
 
