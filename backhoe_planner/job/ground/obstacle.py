@@ -19,7 +19,7 @@ from backhoe_planner.site import Obstacle, scan_body, terrain_body
 from backhoe_planner.site.schema import obstacle_shapes
 
 GROUND_BEYOND = "the ground beyond what is modelled"
-_BELOW = 0.05  # m below the terrain that the ground beyond it is drawn under its border; chosen
+_UNDER_BORDER = 0.05  # m below the terrain that the ground beyond it is drawn under its border; chosen
 _DEEP = 20.0  # m of ground beyond the grid; chosen: deeper than any arm reaches
 
 
@@ -177,7 +177,7 @@ def surface_beyond(beyond: Obstacle, most: int) -> tuple[Matrix, Indices]:
     # at the border it goes on a little below the terrain
     corners, level = triangles.ravel(), np.where(sunk[triangles], np.inf, vertices[triangles, 2]).min(axis=1)
     beside = np.full(len(vertices), np.inf)
-    np.minimum.at(beside, corners, np.repeat(level - _BELOW, 3))
+    np.minimum.at(beside, corners, np.repeat(level - _UNDER_BORDER, 3))
     found = vertices.copy()
     found[sunk, 2] = beside[sunk]
     used, index = np.unique(corners, return_inverse=True)

@@ -224,11 +224,6 @@ def part_points(points: Matrix, grid: HeightGrid, roughness: float, known: Matri
     return PartedPoints(off, stray, replace(wide, z=ground), part)
 
 
-def tops_of(ground: HeightGrid, which: Flags) -> Matrix:
-    """(k, 3) points on top of those columns of a ground that `which` (rows, columns) names [m]."""
-    return np.column_stack((ground.nodes()[which] + _OFF_BORDER, ground.z[which]))
-
-
 def below(points: Matrix, ground: HeightGrid, hidden: Flags) -> Matrix:
     """(k, 3) points that fill the unseen space between things and the ground that they hide [m].
 
@@ -242,11 +237,21 @@ def below(points: Matrix, ground: HeightGrid, hidden: Flags) -> Matrix:
     """
     lowest = column_lowest(points, ground)
     reached = hidden & np.isfinite(lowest) & np.isfinite(ground.z)
-    gap = np.where(reached, np.maximum(lowest - ground.z, 0.0), 0.0)
-    counts = np.ceil(gap[reached] / ground.cell).astype(int)
+    return filling(ground, lowest, reached, ground.cell)
+
+
+def filling(ground: HeightGrid, tops: Matrix, which: Flags, step: float) -> Matrix:
+    """(k, 3) points between a ground and `tops` (rows, columns) above it, `step` apart in height [m].
+
+    Parameters
+    ----------
+    which: (rows, columns) the columns that are filled; both heights are known there.
+    """
+    low, gap = ground.z[which], np.maximum(tops[which] - ground.z[which], 0.0)
+    counts = np.ceil(gap / step).astype(int)
     level = np.concatenate([np.zeros(0), *(np.arange(count) + 0.5 for count in counts.tolist())])
-    places = np.repeat(ground.nodes()[reached], counts, axis=0) + _OFF_BORDER
-    return np.column_stack((places, np.repeat(ground.z[reached], counts) + level * ground.cell))
+    places = np.repeat(ground.nodes()[which], counts, axis=0) + _OFF_BORDER
+    return np.column_stack((places, np.repeat(low, counts) + level * step))
 
 
 def _ground_of(lowest: Matrix, cell: float, roughness: float) -> tuple[Matrix, Flags]:

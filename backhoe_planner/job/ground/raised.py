@@ -9,7 +9,10 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.job.ground.grids import HeightGrid, from_nearest
-from backhoe_planner.job.ground.off_ground import below, tops_of
+from backhoe_planner.job.ground.off_ground import OffGround, filling, voxels_of
+
+_MANY = 500_000  # voxels, above which they are made larger; chosen: some seconds of planning
+_COARSEST = 0.4  # m, edge from which on they are not; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,15 +21,15 @@ class Raised:
 
     Attributes
     ----------
-    points: (k, 3) in all that was heaped, one for each cell of it [m]; no row if nothing was.
+    voxels: that fill all of it; None if nothing was.
     remark: how high and where, in words; empty if nothing was.
     """
 
-    points: Matrix
+    voxels: OffGround | None
     remark: str
 
 
-NOT_RAISED = Raised(np.zeros((0, 3)), "")
+NOT_RAISED = Raised(None, "")
 
 
 def raised_beyond(
@@ -50,11 +53,13 @@ def raised_beyond(
     raised = more > roughness
     if not raised.any():
         return NOT_RAISED
-    tops = tops_of(found, raised)
     highest = np.unravel_index(int(np.argmax(more)), more.shape)
     x, y = found.nodes()[highest].tolist()
     remark = (
         f"beyond the modelled ground it is up to {more[highest]:.2f} m higher than before, at x {x:.2f}, y {y:.2f}: "
         "an obstacle of voxels"
     )
-    return Raised(np.vstack((tops, below(tops, replace(found, z=before), raised))), remark)
+    volume, edge = float(more[raised].sum()) * found.cell**2, found.cell
+    while volume > _MANY * edge**3 and edge < _COARSEST:
+        edge *= 2
+    return Raised(voxels_of(filling(replace(found, z=before), found.z, raised, edge), edge), remark)

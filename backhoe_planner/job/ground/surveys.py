@@ -35,9 +35,8 @@ from backhoe_planner.job.ground.off_ground import (
     part_points,
     voxels_of,
 )
-from backhoe_planner.job.ground.raised import NOT_RAISED, Raised, raised_beyond
+from backhoe_planner.job.ground.raised import NOT_RAISED, raised_beyond
 from backhoe_planner.job.schema.work import ROUGHNESS
-from backhoe_planner.machine import voxel_keys
 from backhoe_planner.site import read_height_grid, read_points
 
 _POINTS = (".ply", ".pcd", ".las", ".laz", ".e57", ".obj", ".stl", ".xyz", ".txt", ".pts")
@@ -136,7 +135,7 @@ def split(
     heights = replace(grid, z=means[part])
     raised = NOT_RAISED if known is None else raised_beyond(replace(wide, z=means), part, known, around, roughness)
     if not off.any():
-        return Survey(heights, _voxels_of_raised(raised, grid.cell), raised.remark, beyond)
+        return Survey(heights, raised.voxels, raised.remark, beyond)
     under, ground = with_things[part], wide.z[part]
     # the lower part of a wall counts as ground, but does not raise it, nor does a stray point below lower it
     lowest = column_lowest(own, grid)
@@ -147,11 +146,7 @@ def split(
     heights = replace(heights, z=np.where(hidden, there, heights.z))
     stands = voxels_of(np.vstack((points[off], below(points[off], heights, hidden))), grid.cell)
     remark = "; ".join(one for one in (describe(points[off], heights, stands), raised.remark) if one)
-    return Survey(heights, join_voxels(stands, _voxels_of_raised(raised, grid.cell)), remark, beyond)
-
-
-def _voxels_of_raised(raised: Raised, cell: float) -> OffGround | None:
-    return OffGround(cell, voxel_keys(raised.points, cell)) if len(raised.points) else None
+    return Survey(heights, join_voxels(stands, raised.voxels), remark, beyond)
 
 
 def _columns_with(points: Matrix, grid: HeightGrid) -> Flags:
@@ -189,8 +184,9 @@ def survey_on(
         return split(read_points(file, map_origin=_origin(map_origin)), onto, rough, onto.z, around)
     grid = _read_table(file, low, cell, None, moved=True)
     wide, part = widened(onto, grid.low, grid.high, BEYOND)
-    raised = raised_beyond(resampled(grid, wide), part, onto.z, around, rough)
-    return Survey(resampled(grid, onto), _voxels_of_raised(raised, onto.cell), raised.remark)
+    found = resampled(grid, wide)
+    raised = raised_beyond(found, part, onto.z, around, rough)
+    return Survey(replace(onto, z=found.z[part]), raised.voxels, raised.remark)
 
 
 def is_cloud(file: Path) -> bool:

@@ -28,6 +28,7 @@ from backhoe_planner.job import (
     scanned,
 )
 from backhoe_planner.job.ground.grids import HeightGrid, empty_grid
+from backhoe_planner.job.ground.raised import raised_beyond
 from backhoe_planner.job.ground.scanned import scanned_around
 from backhoe_planner.job.ground.surveys import split
 from backhoe_planner.job.worksite.checks import check_place
@@ -284,6 +285,17 @@ def test_ground_that_was_heaped_beyond_the_modelled_ground_is_an_obstacle(name: 
     again = scanned_around(known, before, tmp_path / name, low=known.low, cell=known.cell)
     assert again.terrain.off_ground is None
     assert again.remark == ""
+
+
+def test_much_that_was_heaped_is_filled_with_larger_voxels() -> None:
+    """A block of 6 x 5.8 x 4 m has 1.1 million voxels of 5 cm, and 139,200 of 10 cm."""
+    z = np.full((120, 120), 4.0)
+    z[:4] = 0.0
+    raised = raised_beyond(HeightGrid(np.zeros(2), 0.05, z), (slice(0, 4), slice(0, 120)), z[:4], None, 0.15)
+    assert raised.voxels is not None
+    assert raised.voxels.edge == 0.1
+    assert len(raised.voxels.keys) == 60 * 58 * 40
+    assert raised.voxels.centres.min(axis=0) == pytest.approx([0.05, 0.25, 0.05])
 
 
 def test_voxels_of_two_sizes_are_joined_without_losing_space() -> None:
