@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from backhoe_planner.job.ground.obstacle import is_below_swung
 from backhoe_planner.job.worksite.checks import check_job, check_place, check_start
 from backhoe_planner.job.worksite.lanes import Lane, allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import Worksite
-from backhoe_planner.site import Proximity
+from backhoe_planner.site import Obstacle, Proximity
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,7 @@ class CheckedJob:
     allowed: (rows, columns) heights down to which the lanes reach [m], see `allowed_heights`.
     lane_of: (rows, columns) the index of the lane that reaches so far, or -1.
     dump: a heap or trucks.
+    grounds: the ground before the first cycle as obstacles, see `ground_obstacles`.
     """
 
     site: Worksite
@@ -38,6 +40,7 @@ class CheckedJob:
     allowed: Matrix
     lane_of: NDArray[np.int64]
     dump: DumpSite
+    grounds: tuple[Obstacle, ...]
 
 
 def check_whole_job(site: Worksite) -> CheckedJob:
@@ -50,20 +53,21 @@ def check_whole_job(site: Worksite) -> CheckedJob:
     check_start(site)
     check_place(site)
     check_truck(site)
-    _check_swung(site)
+    grounds = ground_obstacles(site, site.ground)
+    _check_swung(site, grounds)
     lanes, design = lanes_of(site), site.design_heights()
     allowed, lane_of = allowed_heights(site, lanes, design)
     check_job(site, lanes, design, allowed)
     check_dump(site, allowed)
-    return CheckedJob(site, lanes, design, allowed, lane_of, dump_of(site))
+    return CheckedJob(site, lanes, design, allowed, lane_of, dump_of(site), grounds)
 
 
-def _check_swung(site: Worksite) -> None:
-    """Check that links that only swing are not in the ground at the start."""
-    grounds = [one for one in (*site.problem.obstacles, *ground_obstacles(site, site.ground)) if is_below_swung(one)]
+def _check_swung(site: Worksite, grounds: Sequence[Obstacle]) -> None:
+    """Check that links that only swing are not in the ground, `grounds` or that around them, at the start."""
+    below = [one for one in (*site.problem.obstacles, *grounds) if is_below_swung(one)]
     q = site.problem.start_q
     assert q is not None
-    contact = Proximity(site.robot, grounds).tightest(q) if grounds else None
+    contact = Proximity(site.robot, below).tightest(q) if below else None
     if contact is None or contact.margin >= 0.0:
         return
     from_file = site.job.ground.file is not None

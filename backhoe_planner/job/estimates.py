@@ -17,7 +17,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.job.checked_job import CheckedJob
 from backhoe_planner.job.cuts.cut import Cut
 from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path
-from backhoe_planner.job.cycles.dumping import NoDump, ground_obstacles
+from backhoe_planner.job.cycles.dumping import NoDump
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.result.job_plan import PatternEstimate
@@ -36,7 +36,7 @@ def estimate_pattern(work: CheckedJob, pattern: Pattern) -> PatternEstimate:
     """The cost of a pattern from the first cut to the last, with the soil dumped where a plan would dump it."""
     site, dump = work.site, work.dump
     pace = 1.0 if site.job.objective == "time" else _EASY
-    state = dump.first(site.ground, ground_obstacles(site, site.ground))
+    state = dump.first(site.ground, work.grounds)
     empty = Dynamics(site.robot)
     cycles, bank, duration, energy = 0, 0.0, 0.0, 0.0
     at: Vector | None = site.problem.start_q

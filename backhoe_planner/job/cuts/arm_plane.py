@@ -11,6 +11,7 @@ long.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -82,12 +83,16 @@ class ArmPlane:
         """Whether the joints have a closed form."""
         return self._hinges is not None
 
-    @property
+    @cached_property
+    def arm(self) -> tuple[str, ...]:
+        """The links that move in the plane: those that not only the swing moves."""
+        swing = 1 if self.swings else 0
+        return tuple(dict.fromkeys(one.link for one in self.robot.pieces if one.joint > swing))
+
+    @cached_property
     def swung(self) -> tuple[str, ...]:
         """The links that only the swing moves, such as a swing post; none if nothing swings."""
-        pieces = self.robot.pieces if self.swings else ()
-        arm = {one.link for one in pieces if one.joint > 1}
-        return tuple(dict.fromkeys(one.link for one in pieces if one.joint == 1 and one.link not in arm))
+        return tuple(link for link in self.robot.moving_links if link not in self.arm)
 
     @property
     def kinematics(self) -> BatchKinematics:

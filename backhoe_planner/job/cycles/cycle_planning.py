@@ -93,7 +93,7 @@ class CyclePlanner:
         keep = Keep(self._site.robot, [level_band(self._site.problem)]) if name == "swing" else None
         ground = state.obstacles
         if name == "cut":
-            arm = [link for link in self._site.arm_and_swung[0] if link not in bucket_links(self._site)]
+            arm = [link for link in self._site.plane.arm if link not in bucket_links(self._site)]
             ground = (replace(ground[0], links=tuple(arm)), *ground[1:])
             payload = 0.0  # the load grows during the cut: it belongs to the soil
         ends = (motion.q[0], [motion.q[-1]])

@@ -365,7 +365,7 @@ def ground_obstacles(site: Worksite, ground: Terrain, *, before: Sequence[Obstac
     """The ground for the arm, then for links that only swing; structures built for the ground `before` are reused."""
     known = before[0] if before else None
     found = terrain_obstacle(ground, _GROUND, site.problem.scene.clearance, before=known)
-    return kept_by_arm(found, *site.arm_and_swung)
+    return kept_by_arm(found, site.plane.arm, site.plane.swung)
 
 
 def dump_of(site: Worksite) -> DumpSite:

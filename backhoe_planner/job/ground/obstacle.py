@@ -54,19 +54,19 @@ def terrain_obstacle(
     return _unmoved(spec, body, clearance, None if links is None else tuple(links))
 
 
-def kept_by_arm(ground: Obstacle, arm: Sequence[str], swung: Sequence[str]) -> tuple[Obstacle, ...]:
+def kept_by_arm(ground: Obstacle, arm: tuple[str, ...], swung: tuple[str, ...]) -> tuple[Obstacle, ...]:
     """The ground for the links of an arm, and, without clearance, for those that only swing.
 
     A swing post comes no nearer to level ground than it stands. It must not touch what is higher.
 
     Parameters
     ----------
-    arm, swung: both kinds of links; if none only swings, all links keep the clearance.
+    arm, swung: both kinds of links, see `ArmPlane`; if none only swings, all keep the clearance.
     """
     if not swung:
         return (ground,)
-    below = replace(ground, name=ground.name + _below(swung), clearance=0.0, links=tuple(swung))
-    return (replace(ground, links=tuple(arm)), below)
+    below = replace(ground, name=ground.name + _below(swung), clearance=0.0, links=swung)
+    return (replace(ground, links=arm), below)
 
 
 def is_below_swung(obstacle: Obstacle) -> bool:

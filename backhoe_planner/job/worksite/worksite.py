@@ -103,11 +103,6 @@ class Worksite:
         return np.where(share > 0.0, (ground.surface - beside) / np.where(share > 0.0, share, 1.0), ground.surface)
 
     @cached_property
-    def arm_and_swung(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The links that the arm moves, and those that only swing."""
-        return _arm_and_swung(self.plane)
-
-    @cached_property
     def taken(self) -> Flags:
         """(rows, columns) on which something stands, so that no heap can lie there."""
         ground = self.ground
@@ -149,18 +144,13 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
         else ground_beyond(ground, beyond, *within, clearance)
     )
     stands = off_ground_obstacles(ground.off_ground, clearance, within=within)
-    around = tuple(own for one in around for own in kept_by_arm(one, *_arm_and_swung(digger.plane)))
+    around = tuple(own for one in around for own in kept_by_arm(one, digger.plane.arm, digger.plane.swung))
     for one in (*around, *stands):
         if one.cluster is not None:
             one.cluster.prepare(*reach_ball(problem.robot))
     problem = replace(problem, obstacles=(*problem.obstacles, *around, *stands))
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
     return Worksite(job, problem.robot, problem, digger, ground, own, beyond, design, arm, stands)
-
-
-def _arm_and_swung(plane: ArmPlane) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The links that the arm moves, and those that only swing."""
-    return tuple(link for link in plane.robot.moving_links if link not in plane.swung), plane.swung
 
 
 def plain_soil(job: Job) -> Soil:

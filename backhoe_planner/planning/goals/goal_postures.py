@@ -41,8 +41,8 @@ _PLACES = 25  # on the way to a posture, where it is checked whether the tip is 
 _BEGINS = 8  # random postures from which that is searched too, for each of these cones; chosen, 0.1 s in all
 _NEARER = 16  # cones between the nearest posture and what is kept, as for a path; chosen
 _ANGLES_FIRST = 30.0  # m per rad in the search for the nearest pose: chosen, its angles are then off by mrad at most
-# if several goals fail, the mildest reason is reported; the mildest first
 _HERE = "\0"  # in a sentence, where a goal is named
+# if several goals fail, the mildest reason is reported; the mildest first
 _MILDEST: tuple[Reason, ...] = ("goal_breaks_keep", "goal_in_collision", "outside_limits", "unreachable")
 
 

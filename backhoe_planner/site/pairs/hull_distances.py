@@ -1,8 +1,8 @@
 """Distances and gradients of all near pairs in many configurations at once, in one compiled call.
 
 Pairs whose balls are further apart than needed are not measured; for the others, the hulls are compared by the
-iterations of Gilbert, Johnson and Keerthi. Pairs of hulls that touch are left to
-coal, and so are all without a compiler.
+iterations of Gilbert, Johnson and Keerthi. Pairs of hulls that touch are left to coal, and so are all pairs without a
+compiler.
 """
 
 from __future__ import annotations
