@@ -29,6 +29,14 @@ _MOST_CYCLES = 5000
 _MOST_REFUSED = 25  # cuts in a row that cannot be planned before the job is given up; chosen
 _BESIDE = 0.15  # m of radius that are left out next to a cut that could not be planned; chosen
 _NO_PROGRESS = 1e-3  # m^3 dug in a cycle: less is no progress
+_NO_PLACE = ("full", "unreachable")  # parts of a failed cycle: its soil cannot be dumped anywhere
+# the reasons of jobs in which not even one cut is found, by what is in its way
+_END_WITHOUT_CUT: dict[str, JobReason] = {
+    "cylinder": "too_hard",
+    "reach": "unreachable",
+    "back": "blocked",
+    "nothing": "",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +117,52 @@ def _check_resumed(resume: JobPlan, job: Job, terrain: Terrain | None) -> None:
         )
 
 
+class _Refusals:
+    """The cuts that were refused since the last cycle.
+
+    Attributes
+    ----------
+    note: why the last one was refused, in words; empty if none was.
+    blocked: why no motion digs one of them, or reaches the dump from it, in words; empty if none was for that.
+    too_hard: why the machine is too weak for one of them, in words; empty if none was for that.
+    """
+
+    def __init__(self) -> None:
+        self.note = self.blocked = self.too_hard = ""
+        self._count = 0
+        self._left_out: dict[int, float] = {}
+
+    @property
+    def too_many(self) -> bool:
+        """Whether so many were refused that the job is given up."""
+        return self._count > _MOST_REFUSED
+
+    @property
+    def left_out(self) -> tuple[tuple[int, float], ...]:
+        """The numbers of lanes, each with the radius [m] beyond which nothing more is tried in it."""
+        return tuple(self._left_out.items())
+
+    def add(self, found: NextCut, lane: int, note: str) -> None:
+        """Refuse a cut in a lane of that number: it is left out, and what lies beside it."""
+        self._count += 1
+        self.note = note
+        self._left_out[lane] = min(self._left_out.get(lane, np.inf), float(found.cut.r[0])) - _BESIDE
+
+    def add_failed(self, found: NextCut, lane: int, failed: Failed) -> None:
+        """Refuse a cut of which no cycle could be planned."""
+        self.add(found, lane, failed.words)
+        if failed.part == "limits":  # a shallower cut exceeds them, too
+            self.too_hard = failed.words
+        elif found.step != WALLS and failed.part not in ("rules", *_NO_PLACE):
+            self.blocked = failed.words  # not by a last cut along a wall: without it most is dug
+
+    def add_no_cut(self, found: NoCut) -> None:
+        """Note that nothing more is found to dig."""
+        self.note = found.reason
+        if found.kind == "cylinder":
+            self.too_hard = found.reason
+
+
 class _Run:
     """The planning of one job."""
 
@@ -120,80 +174,83 @@ class _Run:
 
     def all(self, resume: JobPlan | None, watch: Callable[[JobStep], object] | None) -> JobPlan:
         """The plan of the whole job."""
-        site = self._site
         self._compared = compared_patterns(self._work, self._patterns) if resume is None else resume.compared
-        names = [one.name for one in self._patterns]
         own = next(one for one in self._compared if one.chosen)
-        pattern = self._patterns[names.index(own.name)]
-        planner = CyclePlanner(site, self._work.dump, effort=self._effort, seed=self._seed)
+        pattern = next(one for one in self._patterns if one.name == own.name)
+        planner = CyclePlanner(self._site, self._work.dump, effort=self._effort, seed=self._seed)
         cycles = [] if resume is None else list(resume.cycles)
-        state = planner.first(site.ground)
+        refusals = _Refusals()
+        ended: JobReason | None = None
+        state = planner.first(self._site.ground)
         for cycle in cycles:
             state = planner.again(state, cycle)
-        at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else site.problem.start_q
-        done: dict[int, float] = {}
-        failure, note, stopped, too_hard, refused = "", "", "", "", 0
-
-        def leave_out(cut: NextCut) -> None:
-            number = self._work.lanes.index(cut.lane)
-            done[number] = min(done.get(number, np.inf), float(cut.cut.r[0])) - _BESIDE
-
         self._tell(watch, cycles, own.cycles)
-        while len(cycles) < _MOST_CYCLES:
-            found = next_cut(site, self._work.lanes, pattern, state.ground, done=tuple(done.items()))
-            if not isinstance(found, NextCut):
-                if isinstance(found, NoCut):
-                    note = found.reason
-                    failure = "" if cycles else _of_no_cut(found)
-                    too_hard = note if found.kind == "cylinder" else too_hard
+        while ended is None and len(cycles) < _MOST_CYCLES:
+            found = next_cut(self._site, self._work.lanes, pattern, state.ground, done=refusals.left_out)
+            if found is None:
                 break
+            if isinstance(found, NoCut):
+                refusals.add_no_cut(found)
+                ended = "" if cycles else _END_WITHOUT_CUT[found.kind]
+                break
+            lane = self._work.lanes.index(found.lane)
+            at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else self._site.problem.start_q
             made = planner.plan(len(cycles) + 1, at, state, found)
             if isinstance(made, Failed):
-                note, refused = made.words, refused + 1
-                if made.part == "approach" and not cycles and made.words.startswith("at the start "):
-                    where = "the ground" if "the ground" in made.words else "what is there"
-                    raise SceneError(
-                        f"stands in {where} or too near to it", file=site.job.file, key="start", found=made.words,
-                        allowed=f"a posture that keeps {site.problem.scene.clearance:g} m from ground and obstacles",
-                    )  # fmt: skip
-                if made.part in ("full", "unreachable"):
-                    # a heap that has grown beyond reach is full
-                    failure = "full" if cycles else made.part
-                    break
-                if made.part == "limits":  # a shallower cut exceeds them, too
-                    too_hard = made.words
-                elif found.step != WALLS and made.part != "rules":  # without a last cut along a wall most is dug
-                    stopped = made.words
-                leave_out(found)
-                if refused > _MOST_REFUSED:
-                    failure = "blocked" if stopped else ""
-                    break
-                continue
-            cycle, after = made
-            if cycle.bank + cycle.taken < _NO_PROGRESS:
-                note, refused = f"the cut at cycle {cycle.number} takes nothing any more", refused + 1
-                if refused > _MOST_REFUSED:
-                    break
-                leave_out(found)
-                continue
-            cycles.append(cycle)
-            state = after
-            at, refused, note = cycle.legs[-1].trajectory.q[-1], 0, ""
-            done, stopped, too_hard = {}, "", ""
-            self._tell(watch, cycles, own.cycles)
-        plan = self._plan(cycles, failure, note)  # type: ignore[arg-type]
+                if made.stands_in and not cycles:
+                    raise self._bad_start(made)
+                refusals.add_failed(found, lane, made)
+                ended = self._end_after(made, refusals, begun=bool(cycles))
+            elif made[0].bank + made[0].taken < _NO_PROGRESS:
+                refusals.add(found, lane, f"the cut at cycle {made[0].number} takes nothing any more")
+                ended = "" if refusals.too_many else None
+            else:
+                cycle, state = made
+                cycles.append(cycle)
+                refusals = _Refusals()
+                self._tell(watch, cycles, own.cycles)
+        return self._concluded(cycles, ended or "", refusals)
+
+    def _bad_start(self, failed: Failed) -> SceneError:
+        """The error for a start from which no motion can begin."""
+        return SceneError(
+            f"stands in {failed.stands_in} or too near to it", file=self._site.job.file, key="start",
+            found=failed.words,
+            allowed=f"a posture that keeps {self._site.problem.scene.clearance:g} m from ground and obstacles",
+        )  # fmt: skip
+
+    @staticmethod
+    def _end_after(failed: Failed, refusals: _Refusals, *, begun: bool) -> JobReason | None:
+        """The reason with which a job ends after a cut was refused; None if others are tried."""
+        if failed.part in _NO_PLACE:
+            # a heap that has grown beyond reach is full
+            return "full" if begun or failed.part == "full" else "unreachable"
+        if refusals.too_many:
+            return "blocked" if refusals.blocked else ""
+        return None
+
+    def _concluded(self, cycles: list[Cycle], ended: JobReason, refusals: _Refusals) -> JobPlan:
+        """The plan after the last cycle.
+
+        Parameters
+        ----------
+        ended: the reason with which the job ended.
+        refusals: the cuts that were refused since the last cycle.
+        """
+        plan = self._plan(cycles, ended, refusals.note)
         if plan.verified:
             return replace(plan, note="")
-        if stopped and failure in ("", "unreachable"):
+        if refusals.blocked and ended in ("", "unreachable"):
             # there were cuts, but no motion to dig them or to reach the dump from them
-            return self._plan(cycles, "blocked", stopped)
-        if too_hard and not plan.failure and not plan.is_met:
-            return self._plan(cycles, "too_hard", too_hard)
-        if not plan.failure and not plan.is_met and cycles:
+            return self._plan(cycles, "blocked", refusals.blocked)
+        if plan.failure or plan.is_met:
+            return plan
+        if refusals.too_hard:
+            return self._plan(cycles, "too_hard", refusals.too_hard)
+        if cycles:
             left, why = max(plan.over, plan.under, plan.beside), f": {plan.note}" if plan.note else ""
-            return replace(
-                plan, note=f"the design is missed by {100.0 * left:.1f} cm, and no cut is found that mends it{why}"
-            )
+            note = f"the design is missed by {100.0 * left:.1f} cm, and no cut is found that mends it{why}"
+            return replace(plan, note=note)
         return plan
 
     def _tell(self, watch: Callable[[JobStep], object] | None, cycles: list[Cycle], expected: int) -> None:
@@ -219,7 +276,3 @@ class _Run:
             surveyed=not same_ground(site.own_ground, site.ground), failure=failure, note=note,
             planning_time=clock.monotonic() - self._begun,
         )  # fmt: skip
-
-
-def _of_no_cut(found: NoCut) -> JobReason:
-    return {"cylinder": "too_hard", "reach": "unreachable", "back": "blocked", "nothing": ""}[found.kind]  # type: ignore[return-value]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -28,6 +29,8 @@ _HIGHER = (0.0, 0.15, 0.35)  # m by which the bucket is lifted further at both e
 _PACES, _SHALLOWER = (1.0, 0.7), (0.7, 0.4)
 _PLACES = 3  # greatest number of places that are tried for dumping a bucketful
 
+FailedPart = Literal["cut", "rules", "limits", "approach", "swing", "dump", "full", "unreachable"]
+
 
 @dataclass(frozen=True, eq=False)
 class Failed:
@@ -39,10 +42,12 @@ class Failed:
         cuts, or ``limits`` if the cut exceeds what the machine can do; otherwise ``approach``, ``swing``, ``dump``;
         ``full`` if no more soil can be dumped, and ``unreachable`` if the bucket cannot be emptied anywhere.
     words: the same in a sentence.
+    stands_in: what the machine is in or too near to where the ``approach`` starts, if that is why; empty otherwise.
     """
 
-    part: str
+    part: FailedPart
     words: str
+    stands_in: str = ""
 
 
 class CyclePlanner:
@@ -133,7 +138,7 @@ class CyclePlanner:
             if start is not None:
                 approach = self._transfers.to("approach", start, [path.q[0]], ground=state.obstacles, payload=0.0)
                 if approach.leg is None:
-                    failed = Failed("approach", approach.why)
+                    failed = Failed("approach", approach.why, approach.stands_in)
                     continue
                 legs.append(approach.leg)
             found = self._after(number, [*legs, cut_leg], path, state, chosen)

@@ -27,10 +27,12 @@ class Transfer:
     ----------
     leg: the motion; None if there is none.
     why: the reason in words; empty if there is a motion.
+    stands_in: what the machine is in or too near to at the start, if that is the reason; empty otherwise.
     """
 
     leg: CycleLeg | None
     why: str = ""
+    stands_in: str = ""
 
 
 class Transfers:
@@ -72,7 +74,9 @@ class Transfers:
         problem = self.problem(start, ends, ground=ground, payload=payload, keep=keep)
         outcome, certificate = plan_motion(problem, effort=self._effort, seed=self._seed)
         if not certificate.verified:
-            return Transfer(None, outcome.message or "; ".join(certificate.problems))
+            found = outcome.findings.obstruction if outcome.reason == "start_in_collision" else None
+            why = outcome.message or "; ".join(certificate.problems)
+            return Transfer(None, why, stands_in="" if found is None else found.name)
         return Transfer(make_leg(name, problem, outcome.trajectory, certificate))
 
     def problem(
