@@ -3,12 +3,12 @@ from .costs import cost_rate as cost_rate
 from .costs import motion_cost as motion_cost
 from .costs import trajectory_costs as trajectory_costs
 from .costs import trajectory_energy as trajectory_energy
+from .following.detours import Detour as Detour
 from .following.orientation import angle_bounds as angle_bounds
 from .following.spot_turns import SpotTurn as SpotTurn
 from .following.spot_turns import largest_spot_turn as largest_spot_turn
-from .following.tracking import Detour as Detour
+from .following.tip_stations import progress as progress
 from .following.tracking import Tracking as Tracking
-from .following.tracking import progress as progress
 from .following.tracking import track_goals as track_goals
 from .following.tracking import track_path as track_path
 from .following.waypoint_steps import WaypointStep as WaypointStep
