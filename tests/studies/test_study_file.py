@@ -14,14 +14,15 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.files.records import described_fields
 from backhoe_planner.job import JobFigures
 from backhoe_planner.planning import Bound, CertificateRecord, Findings, Metrics
 from backhoe_planner.studies import Study, study_from_dict
 from backhoe_planner.studies.rows.drawing import draw_rows
-from backhoe_planner.studies.rows.key_paths import members
+from backhoe_planner.studies.rows.key_paths import is_record, members
 from backhoe_planner.studies.rows.metrics import annotation_below, find_metric, keys_of
 from backhoe_planner.studies.rows.template import build_template
-from backhoe_planner.studies.rows.units import unit_of
+from backhoe_planner.studies.rows.units import unit_in, unit_of
 from backhoe_planner.studies.schema.values import read_values
 
 ROOT = Path(bp.__file__).resolve().parents[1]
@@ -323,6 +324,29 @@ def test_every_figure_has_its_unit() -> None:
         assert free == (unit_of(path) == ""), path
 
 
+def docstrings_below(annotation: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """The paths to all numbers of records below an annotation, with the docstrings of their keys."""
+    for kind in members(annotation):
+        if typing.get_origin(kind) is tuple:
+            yield from docstrings_below(typing.get_args(kind)[0], (*path, "0"))
+        elif is_record(kind):
+            words = described_fields(kind)
+            for key, field in kind.model_fields.items():
+                if float in members(field.annotation):
+                    yield (*path, key), words.get(key, "")
+                yield from docstrings_below(field.annotation, (*path, key))
+
+
+def test_units_of_figures_are_those_of_their_docstrings() -> None:
+    """A docstring with several units describes several keys; `asked` of a limit is only in older files."""
+    roots = {"metrics": Metrics, "certificate": CertificateRecord, "findings": Findings, "figures": JobFigures}
+    found = {path: words for name, kind in roots.items() for path, words in docstrings_below(kind, (name,))}
+    units = {path: unit for path, words in found.items() if (unit := unit_in([words])) and path[-1] != "asked"}
+    assert len(units) > 30
+    wrong = {path: unit for path, unit in units.items() if unit != "unit" and unit_of(path) != unit}
+    assert wrong == {}
+
+
 @pytest.mark.parametrize(
     ("name", "kind", "objective", "unit"),
     [
@@ -335,6 +359,8 @@ def test_every_figure_has_its_unit() -> None:
         ("min_clearance.margin", "scene", None, "m"),
         ("tip_error.max", "scene", None, "m"),
         ("tip_error.max_angle", "scene", None, "rad"),
+        ("limits.position.time", "scene", None, "s"),
+        ("findings.nearest.position.2", "scene", None, "m"),
         ("longer_percent", "scene", None, "%"),
         ("goal", "scene", None, ""),
         ("production", "job", None, "m^3/h"),

@@ -50,8 +50,8 @@ def unit_of(keys: Sequence[str], objective: str | None = None) -> str:
         return OBJECTIVES[objective].unit if objective is not None and last in _OF_OBJECTIVE else ""
     if last in _OF_CLEARANCE:
         return "m" if "clearances" in keys or "min_clearance" in keys else ""
-    if "limits" in keys and last != "time":
-        return ""
+    if "limits" in keys:
+        return "s" if last == "time" else ""
     if above == ["position"]:
         return "m"
     return _OF_KEY.get(last, "")
