@@ -56,13 +56,11 @@ def plan(
     loaded = bp.load_scene(scene)
     robot = site.load_machine(urdf, loaded)
     inputs = (*robot.files, *loaded.files)
-    if output is not None:
-        check_record(output, inputs)
+    check_record(output, inputs)
     if html is not None:
         check_output(html, inputs)
         check_ending(html, show.PAGE_FORMATS, what="a page")
     print_warnings(site.input_warnings(robot, loaded))
-    unit = motion.OBJECTIVES[loaded.objective or "time"].unit  # of the cost shown while planning to a goal
     compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
     with show.Viewer() if view else contextlib.nullcontext() as viewer:
         if viewer is not None:
@@ -72,7 +70,7 @@ def plan(
         else:
             with ERR.status("planning ...", quiet=as_json) as status:
                 shown = status if ERR.is_terminal else None  # the lines of a log do without the best so far
-                found = compute(watch=None if shown is None else lambda step: _show_best(shown, step, unit))
+                found = compute(watch=None if shown is None else lambda step: _show_best(shown, step))
         found.save(output)
         print_warnings(site.obstacle_warnings(robot, found.problem.obstacles))
         if html is not None:  # before anything is printed: the reader of the output may stop early
@@ -90,10 +88,10 @@ def plan(
     return VERIFIED if found.verified else FAILED
 
 
-def _show_best(status: Status | PlainStatus, step: planning.PlannerStep, unit: str) -> None:
+def _show_best(status: Status | PlainStatus, step: planning.PlannerStep) -> None:
     """Show the cost of the best motion to a goal so far."""
     if step.best is not None and step.time == 0.0:
-        status.update(f"planning ... the best so far: {step.best:,.4g} {unit}")
+        status.update(f"planning ... the best so far: {step.best:,.4g} {step.unit}")
 
 
 def view(

@@ -12,6 +12,7 @@ import pytest
 from backhoe_planner import (
     InputError,
     Plan,
+    PlannerStep,
     Robot,
     SceneError,
     Trajectory,
@@ -29,6 +30,7 @@ from backhoe_planner.planning.sequence.plan_task import plan_problem
 
 START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
 POST = {"name": "post", "shape": "cylinder", "radius": 0.1, "length": 3.0, "position": [2.5, 3.0, 1.5]}
+FOLDED = {"joint1": 0.0, "joint2": 0.8, "joint3": 0.8, "joint4": 0.8}  # of planar4
 CUT = ([2.5, 2.0, 1.0], [2.2, 1.8, 1.0])  # with a pitch, so that no joint is free
 LEGS: list[dict[str, Any]] = [
     {"name": "reach", "goal": {"position": [4.0, 0.0, 0.8]}},
@@ -374,3 +376,16 @@ def test_a_wait_at_the_beginning_needs_a_start_given_by_joints(backhoe: Robot) -
     start = {"tip": {"position": [4.0, 0.0, 0.5]}}
     with pytest.raises(SceneError, match=r"task\.sequence\[0\] \(pause\)\.wait|needs the joints at its start"):
         plan(backhoe, scene_from_dict(content | {"start": start}), effort="quick")
+
+
+def test_a_watcher_gets_the_best_cost_with_the_unit_of_each_leg(planar4: Robot) -> None:
+    """The scene gives no objective: each leg has its own."""
+    legs = [
+        {"name": "out", "goal": {"joints": FOLDED | {"joint1": 0.6}}, "objective": "velocity_norm"},
+        {"name": "back", "goal": {"joints": FOLDED}},
+    ]
+    scene = scene_from_dict({"version": 1, "start": {"joints": FOLDED}, "task": {"sequence": legs}})
+    seen: list[PlannerStep] = []
+    assert plan(planar4, scene, effort="quick", watch=seen.append).verified
+    assert {step.unit for step in seen if step.best is not None} == {"rad^2/s", "s"}
+    assert all(step.unit == "" for step in seen if step.best is None)

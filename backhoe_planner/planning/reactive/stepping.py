@@ -39,12 +39,14 @@ class PlannerStep:
     q: (n,) joint positions [rad or m].
     attempt: the attempt of the planner that the step belongs to, from 1.
     best: the cost of the best motion to a goal so far, by the problem's objective; None before there is one.
+    unit: of `best`; empty if it is None.
     """
 
     time: float
     q: Vector
     attempt: int
     best: float | None = None
+    unit: str = ""
 
 
 Watcher = Callable[[PlannerStep], object]

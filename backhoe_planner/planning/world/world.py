@@ -102,7 +102,7 @@ class World:
         if self._watch is None:
             return
         for time, q in zip(motion.time[::_SHOWN], motion.q[::_SHOWN], strict=True):
-            self._watch(PlannerStep(float(time), q, attempt, best))
+            self._watch(PlannerStep(float(time), q, attempt, best, self.problem.objective.unit))
 
     def keeps(self, motion: Trajectory) -> bool:
         """Whether a motion is proven to satisfy the problem's `keep`; true if there is none."""
