@@ -194,8 +194,7 @@ def _build(robot: Robot, scene: Scene, obstacles: tuple[Obstacle, ...]) -> Probl
             key="soil",
             found=robot.name,
         )
-    default = "time" if scene.task.path is None else "work"
-    objective = find_objective(scene.objective or default, robot, file=scene.file)
+    objective = find_objective(scene.objective_or_default, robot, file=scene.file)
     start_q, start_target = _start(robot, scene)
     path = None
     if scene.task.path is not None:

@@ -121,6 +121,11 @@ class Scene(FileRecord):
         return self
 
     @property
+    def objective_or_default(self) -> ObjectiveName:
+        """The name of what a plan minimises: by default the time, along a path the work."""
+        return self.objective or ("time" if self.task.path is None else "work")
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """The files from which the scene is read: the scene file, the path file, the files of obstacles."""
         named = [

@@ -17,7 +17,7 @@ from backhoe_planner.files.provenance import installed_versions
 from backhoe_planner.job import SITE_KEYS, Job, job_from_dict, load_job
 from backhoe_planner.machine import Robot
 from backhoe_planner.planning import EFFORTS, METHODS
-from backhoe_planner.site import Scene, load_machine, load_scene, scene_from_dict
+from backhoe_planner.site import Scene, leg_scene, load_machine, load_scene, scene_from_dict
 from backhoe_planner.studies.rows.key_paths import Address, NoSuchKeyError, descriptions_at, find_address, put, spell
 from backhoe_planner.studies.rows.metrics import DEFAULTS, Kind, Metric, find_metric
 from backhoe_planner.studies.rows.units import unit_in
@@ -297,11 +297,10 @@ def _objective(study: Study, template: Scene | Job) -> str | None:
     """The name of the objective of all plans of a scene; None if it differs from row to row, or from leg to leg."""
     if isinstance(template, Job) or any(name.rpartition(".")[2] == "objective" for name in study.parameters):
         return None
-    defaults = ("time", "work")  # to a goal, and along a path
-    legs = [leg for leg in template.task.sequence or () if leg.wait is None]
-    found = {leg.objective or template.objective or defaults[leg.path is not None] for leg in legs}
     if template.task.sequence is None:
-        found = {template.objective or defaults[template.task.path is not None]}
+        return template.objective_or_default
+    legs = [index for index, leg in enumerate(template.task.sequence) if leg.wait is None]
+    found = {leg_scene(template, index).objective_or_default for index in legs}
     return next(iter(found)) if len(found) == 1 else None
 
 
