@@ -28,7 +28,7 @@ from backhoe_planner.job import (
     lanes_of,
     postures_over,
 )
-from backhoe_planner.machine import Base, Dynamics, JointLimits
+from backhoe_planner.machine import Base, Dynamics, JointLimits, travel_times
 from backhoe_planner.standing.moved_job import job_with
 
 _FARTHEST, _NEAREST = 7.5, 0.9  # m from the swing axis between which the reach is computed; the machine with 4.4 m
@@ -130,15 +130,6 @@ class ReachMap:
         lifting = np.maximum(lift - full, 0.0) + np.maximum(empty - fall, 0.0)
         time = np.where(np.isfinite(moving), (cut + moving) / bank, np.inf)
         return time, np.where(np.isfinite(moving), (work + lifting) / bank, np.inf)
-
-
-def travel_times(step: Array, limits: JointLimits) -> Array:
-    """(...) least times for steps (..., n) of the joints from rest to rest, for their rates and accelerations [s]."""
-    way = np.abs(step)
-    ramps = way * limits.acceleration < limits.velocity**2
-    slow = 2.0 * np.sqrt(way / limits.acceleration)
-    fast = way / limits.velocity + limits.velocity / limits.acceleration
-    return np.asarray(np.max(np.where(ramps, slow, fast), axis=-1))
 
 
 class _Machine:

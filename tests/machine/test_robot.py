@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from backhoe_planner.errors import InputError, RobotError
-from backhoe_planner.machine import Kinematics, Robot, load_robot
+from backhoe_planner.machine import JointLimits, Kinematics, Robot, load_robot, travel_times, travel_within
 
 LIMIT = '<limit lower="-1" upper="1" effort="5" velocity="0.6"/>'
 DOT = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
@@ -300,3 +300,12 @@ def test_visuals_contain_kind_colour_and_mesh(backhoe: Robot, panda: Robot) -> N
     meshes = [visual.mesh for visual in panda.visuals if visual.kind == "mesh"]
     assert meshes
     assert all(mesh is not None and mesh.is_file() for mesh in meshes)
+
+
+def test_travel_times_and_travel_within_are_inverse() -> None:
+    """1 rad at 1 rad/s^2 is a triangle of 2 s; 10 rad at 2 rad/s take 3 s at full rate and two ramps of 2 s."""
+    one = np.ones(1)
+    limits = JointLimits(lower=-100.0 * one, upper=100.0 * one, velocity=2.0 * one, acceleration=one, effort=one)
+    np.testing.assert_allclose(travel_times(np.array([[1.0], [-10.0], [0.0]]), limits), [2.0, 7.0, 0.0])
+    np.testing.assert_allclose(travel_within(2.0, limits), [1.0])
+    np.testing.assert_allclose(travel_within(7.0, limits), [10.0])

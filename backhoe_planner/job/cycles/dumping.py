@@ -18,7 +18,7 @@ from backhoe_planner.job.ground.truck_bed import Bed
 from backhoe_planner.job.schema.work import Heap
 from backhoe_planner.job.schema.work import Truck as Trucks
 from backhoe_planner.job.worksite.worksite import Worksite
-from backhoe_planner.machine import JointLimits
+from backhoe_planner.machine import travel_times
 from backhoe_planner.site import Obstacle
 
 OPEN = -1.2  # rad: the pitch at which the bucket is empty; chosen, its plate is then at 110 degrees
@@ -168,7 +168,7 @@ class HeapDump:
             if full or beyond is None:
                 return NoDump("full", full)
             return NoDump("unreachable", _out_of_reach(self._site, *beyond))
-        return sorted(found, key=lambda one: travel_time(one.arrivals[0] - start, limits))
+        return sorted(found, key=lambda one: float(travel_times(one.arrivals[0] - start, limits)))
 
     def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
         """See `DumpSite`."""
@@ -232,7 +232,7 @@ class TruckDump:
         return sorted(
             found,
             key=lambda one: (
-                bool(one.place[2] > lowest + _EVEN), travel_time(one.arrivals[0] - start, limits)
+                bool(one.place[2] > lowest + _EVEN), float(travel_times(one.arrivals[0] - start, limits))
             ),
         )  # fmt: skip
 
@@ -350,15 +350,6 @@ def _bucket_sense(site: Worksite, q: Vector) -> float:
     ahead[-1] += 1e-3
     pitches = site.plane.place(np.array([q, ahead]))[2]
     return float(np.sign((pitches[1] - pitches[0] + np.pi) % (2.0 * np.pi) - np.pi))
-
-
-def travel_time(step: Vector, limits: JointLimits) -> float:
-    """The least time for a `step` (n,) of the joints from rest to rest, by their rates and accelerations [s]."""
-    way = np.abs(step)
-    ramps = way * limits.acceleration < limits.velocity**2
-    slow = 2.0 * np.sqrt(way / limits.acceleration)
-    fast = way / limits.velocity + limits.velocity / limits.acceleration
-    return float(np.max(np.where(ramps, slow, fast)))
 
 
 def ground_obstacles(site: Worksite, ground: Terrain, *, before: Sequence[Obstacle] = ()) -> tuple[Obstacle, ...]:

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import travel_within
 from backhoe_planner.motion import Goal, Trajectory, motion_cost
 from backhoe_planner.planning.descent.descent import NO_COST
 from backhoe_planner.planning.goals.allowed_time import (
@@ -29,7 +30,6 @@ from backhoe_planner.planning.goals.straight_lines import StraightLines
 from backhoe_planner.planning.goals.ways import FoundMotion, Ways
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime
 from backhoe_planner.planning.search.goal_ends import GoalEnds
-from backhoe_planner.planning.search.reach import travel_within
 from backhoe_planner.planning.search.way_price import price_of
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
@@ -328,7 +328,7 @@ class MotionSearch:
         more = _MORE_POSTURES if self._problem.objective.is_time else _MORE_FOR_COST
         found = find_goal_postures(
             self._world, self._problem.goals, near=self._start, time=self._time, more=more,
-            travel=None if within is None else travel_within(self._problem.limits, within),
+            travel=None if within is None else travel_within(within, self._problem.limits),
         )  # fmt: skip
         return [] if isinstance(found, Outcome) else self._ends.take(found.clear, found.goals)
 

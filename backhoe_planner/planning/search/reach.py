@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
-from backhoe_planner.machine import JointLimits
+from backhoe_planner.machine import JointLimits, travel_within
 
 # part of a box by which configurations are drawn beyond the joint limits; chosen among 0.05 to 0.8: in four of the
 # hardest cases a route was found after 1,400 checks of motions instead of 50,000, and no case needs more than before
@@ -58,13 +58,7 @@ class Reach:
 
     def travel(self) -> Vector:
         """(n,) how far each joint can move from rest to rest in the longest time, there and back counted [rad or m]."""
-        return travel_within(self.limits, self.longest)
-
-
-def travel_within(limits: JointLimits, time: float) -> Vector:
-    """(n,) how far each joint can move from rest to rest in a time [s] [rad or m]."""
-    peak = np.minimum(limits.velocity, 0.5 * limits.acceleration * time)
-    return np.asarray(peak * (time - peak / limits.acceleration))
+        return travel_within(self.longest, self.limits)
 
 
 def beyond_limits(limits: JointLimits, low: Array, high: Array) -> tuple[Array, Array]:
