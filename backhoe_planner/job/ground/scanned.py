@@ -12,9 +12,10 @@ from backhoe_planner.arrays import Flags, Vector, as_number
 from backhoe_planner.errors import InputError, check_kind, check_path
 from backhoe_planner.job.ground.grids import HeightGrid, filled
 from backhoe_planner.job.ground.off_ground import join_voxels, standing_in
-from backhoe_planner.job.ground.surveys import is_cloud, survey_on
+from backhoe_planner.job.ground.surveys import survey_on
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.work import ROUGHNESS
+from backhoe_planner.site import is_cloud
 
 _NOISE = 0.02  # m by which a scan may differ although the ground is unchanged; chosen, a laser has 1 to 2 cm
 

@@ -37,9 +37,7 @@ from backhoe_planner.job.ground.off_ground import (
 )
 from backhoe_planner.job.ground.raised import NOT_RAISED, raised_beyond
 from backhoe_planner.job.schema.work import ROUGHNESS
-from backhoe_planner.site import read_height_grid, read_points
-
-_POINTS = (".ply", ".pcd", ".las", ".laz", ".e57", ".obj", ".stl", ".xyz", ".txt", ".pts")
+from backhoe_planner.site import is_cloud, read_height_grid, read_points
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,11 +185,6 @@ def survey_on(
     found = resampled(grid, wide)
     raised = raised_beyond(found, part, onto.z, around, rough)
     return Survey(replace(onto, z=found.z[part]), raised.voxels, raised.remark)
-
-
-def is_cloud(file: Path) -> bool:
-    """Whether a file has points, by its name, and not a table of heights."""
-    return file.suffix.lower() in _POINTS
 
 
 def _origin(map_origin: Sequence[float] | Vector | None) -> tuple[float, ...]:

@@ -25,8 +25,6 @@ from backhoe_planner.site.surveys.number_tables import (
     number_in,
 )
 
-POINT_FORMATS = "text with x, y, z in a line (CSV, XYZ), or .ply, .pcd, .las, .laz, .e57, .obj, .stl"
-
 MOST_COLUMNS = 32  # of a list of points: beside x, y, z scanners write colour, normal, time, ...; chosen
 _TOO_FEW = ("has fewer cells than the header", "has fewer than three numbers")
 # names of x, y and z in a header, without case and a unit of metres
@@ -70,10 +68,14 @@ class _Head(NamedTuple):
     lines: int
 
 
-def read_point_list(path: Path) -> Matrix:
+def read_point_list(path: Path, *, formats: str) -> Matrix:
     """(n, 3) points [m] from a text with x, y, z in the columns that its header names, otherwise in the first three.
 
     Titles, comments, a line of units and the number of points may precede the points.
+
+    Parameters
+    ----------
+    formats: all formats of points, in words, for the message if the file is no text.
 
     Raises
     ------
@@ -81,7 +83,7 @@ def read_point_list(path: Path) -> Matrix:
         name x, y and z once each, another unit than metres, lines with different numbers of cells, or, without a
         header, point numbers or decimal commas.
     """
-    all_lines = read_text(path, what="point cloud", formats=POINT_FORMATS).splitlines()
+    all_lines = read_text(path, what="point cloud", formats=formats).splitlines()
     if all_lines[0].lower().startswith("ncols"):
         raise InputError(
             "is an ESRI grid of heights, not a list of points", file=path, key="line 1", found=all_lines[0].strip(),
@@ -111,7 +113,7 @@ def read_point_list(path: Path) -> Matrix:
     asked = head.columns or (0, 1, 2)
     points = columns_of(lines, asked)
     if points is None:
-        points = _line_by_line(all_lines, head, path)
+        points = _line_by_line(all_lines, head, path, formats)
     elif mark == "," and 0 < head.names != width:
         raise _other_width(path, lines[0], head.names)
     if head.columns is None and width > 3 and counts_rows(points[:, 0]):
@@ -292,7 +294,7 @@ def _other_width(path: Path, line: str, names: int) -> InputError:
     )  # fmt: skip
 
 
-def _line_by_line(lines: Sequence[str], head: _Head, path: Path) -> Matrix:
+def _line_by_line(lines: Sequence[str], head: _Head, path: Path, formats: str) -> Matrix:
     """(rows, 3) points of lines that `columns_of` does not read.
 
     Raises
@@ -316,7 +318,7 @@ def _line_by_line(lines: Sequence[str], head: _Head, path: Path) -> Matrix:
             full = all(cells[index].strip() for index in asked)
             raise InputError(
                 "is not a number" if full else "has an empty cell among x, y, z",
-                file=path, key=f"line {number}", found=line.strip(), allowed=POINT_FORMATS,
+                file=path, key=f"line {number}", found=line.strip(), allowed=formats,
             ) from None  # fmt: skip
         width = width or len(cells)
         if delimiter_of(line) == "," and len(cells) != width:

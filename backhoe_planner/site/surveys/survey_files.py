@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from backhoe_planner.site.surveys.number_tables import (
     plain_table,
 )
 from backhoe_planner.site.surveys.packed_scans import read_e57
-from backhoe_planner.site.surveys.point_lists import MOST_COLUMNS, POINT_FORMATS, read_obj_vertices, read_point_list
+from backhoe_planner.site.surveys.point_lists import MOST_COLUMNS, read_obj_vertices, read_point_list
 from backhoe_planner.site.surveys.scan_files import pcd_has_single_precision, read_las, read_pcd
 from backhoe_planner.site.surveys.single_precision import rounded_error, rounding_of
 
@@ -33,6 +33,7 @@ _FEWEST_POINTS = 9  # in a list of points at the nodes of a grid, 3 each way; ch
 _MOST_HOLES = 1.5  # the most nodes of a grid for each point in its list; chosen
 _ROUNDING = 1e-6  # of a cell
 _OTHER_CLOUDS = (".rcp", ".rcs", ".fls")
+_POINT_TEXTS = (".xyz", ".txt", ".pts")  # endings of text that is always a list of points
 _MESHES = (".off", ".dae", ".glb", ".gltf", ".3mf")
 _DEGREES_WITHIN = 0.05  # degrees: some kilometres; chosen
 _MOST_STRAYS = 0.01  # part of the points that may be far away by mistake; chosen
@@ -159,42 +160,49 @@ def read_points(path: Path, *, map_origin: Sequence[float] | None = None) -> Mat
         raise InputError("no such point cloud file", file=path)
     if path.stat().st_size == 0:
         raise InputError("the file is empty", file=path, allowed="a point cloud")
-    kind = path.suffix.lower()
+    kind, formats = path.suffix.lower(), f"text with x, y, z in a line (CSV, XYZ), or {', '.join(_READERS)}"
     if kind in (*_OTHER_CLOUDS, *_MESHES):
         hint = "CloudCompare makes a PLY of it, or it is a mesh" if kind in _MESHES else (
             "CloudCompare, or the program of the scanner, makes an E57 or LAZ of it"
         )  # fmt: skip
-        raise InputError(f"is a {kind} file, which is not read", file=path, allowed=POINT_FORMATS, hint=hint)
-    if kind == ".obj":
-        points = read_obj_vertices(path)
-    elif kind == ".ply":
-        check_whole(path)
-        points = ply_points(path)
-    elif kind == ".pcd":
-        points = read_pcd(path)
-    elif kind in (".las", ".laz"):
-        points = read_las(path)
-    elif kind == ".e57":
-        points = read_e57(path)
-    elif kind == ".stl":
-        import trimesh
-
-        try:
-            check_whole(path)
-            loaded = trimesh.load(path, file_type="stl", process=False)
-        except InputError:
-            raise
-        except Exception as error:  # trimesh passes on any exception of its format readers
-            raise InputError(f"is not a file of points that can be read: {error}", file=path) from error
-        parts = getattr(loaded, "geometry", {"": loaded}).values()  # a file of several solids is a scene of them
-        points = np.vstack([np.zeros((0, 3)), *(part.vertices for part in parts if hasattr(part, "vertices"))])
-    else:
-        points = read_point_list(path)
+        raise InputError(f"is a {kind} file, which is not read", file=path, allowed=formats, hint=hint)
+    points = _READERS[kind](path) if kind in _READERS else read_point_list(path, formats=formats)
     if len(points) == 0:
         raise InputError("holds no points", file=path)
     _check_not_degrees(points, path)
     check_near(points, path, map_origin=map_origin)
     return points if map_origin is None else points - np.array(map_origin)
+
+
+def _read_ply(path: Path) -> Matrix:
+    check_whole(path)
+    return ply_points(path)
+
+
+def _read_stl(path: Path) -> Matrix:
+    import trimesh
+
+    try:
+        check_whole(path)
+        loaded = trimesh.load(path, file_type="stl", process=False)
+    except InputError:
+        raise
+    except Exception as error:  # trimesh passes on any exception of its format readers
+        raise InputError(f"is not a file of points that can be read: {error}", file=path) from error
+    parts = getattr(loaded, "geometry", {"": loaded}).values()  # a file of several solids is a scene of them
+    return np.vstack([np.zeros((0, 3)), *(part.vertices for part in parts if hasattr(part, "vertices"))])
+
+
+# by the ending of the file's name; a file with any other ending is read as text
+_READERS: dict[str, Callable[[Path], Matrix]] = {
+    ".ply": _read_ply, ".pcd": read_pcd, ".las": read_las, ".laz": read_las, ".e57": read_e57,
+    ".obj": read_obj_vertices, ".stl": _read_stl,
+}  # fmt: skip
+
+
+def is_cloud(file: Path) -> bool:
+    """Whether a file has points, by the ending of its name; a CSV, which may have them, is a table of heights here."""
+    return file.suffix.lower() in (*_READERS, *_POINT_TEXTS)
 
 
 def _check_not_degrees(points: Matrix, path: Path) -> None:
