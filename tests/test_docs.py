@@ -15,7 +15,9 @@ import yaml
 import backhoe_planner
 from backhoe_planner.cli import app
 from backhoe_planner.job import job_from_dict
+from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.site import scene_from_dict
+from backhoe_planner.site.schema import obstacle_shapes
 from backhoe_planner.studies import study_from_dict
 from backhoe_planner.studies.rows.template import build_template
 
@@ -76,6 +78,14 @@ def test_commands_in_the_docs_parse(page: Path) -> None:
             continue
         name, chosen, rest = command.resolve_command(command.make_context(words[0], words[1:]), words[1:])
         chosen.make_context(name, rest)
+
+
+def test_every_shape_and_every_objective_is_described() -> None:
+    shapes, objectives = (
+        (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("scene-file.md", "planning.md")
+    )
+    assert [name for name in obstacle_shapes.shape_records() if f"`{name}`" not in shapes] == []
+    assert [name for name in OBJECTIVES if f"\n| `{name}` |" not in objectives] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -93,12 +93,14 @@ class ModelDraft:
             self._mesh(body, vertices, np.asarray(mesh.faces), **place)
         elif shape == "heightmap":
             self._ground(body, record, folder, place)
-        else:
+        elif shape == "pointcloud":
             edge = float(record["resolution"])
             turn_back, shift = turn_of(record), np.array(place["pos"])
             for corner in np.unique(np.floor(read_cloud(folder / record["file"]) / edge), axis=0):
                 middle = turn_back @ ((corner + 0.5) * edge) + shift
                 self._geom(body, kinds.mjGEOM_BOX, np.full(3, 0.5 * edge), pos=middle, quat=place["quat"])
+        else:
+            raise NotImplementedError(shape)
 
     def _link_geom(self, body: Any, shape: RawShape) -> None:
         place = {"pos": shape.translation, "quat": _quaternion(shape.rotation)}

@@ -25,7 +25,7 @@ from validation.raw_urdf import RawMachine, read_raw_urdf
 
 TURNS = 5  # sites and motions for every machine
 _CLEARANCE = 0.02  # m, of every scene
-_SHAPES = ("sphere", "box", "cylinder", "capsule", "halfspace", "mesh", "heightmap", "pointcloud")
+SHAPES = ("sphere", "box", "cylinder", "capsule", "halfspace", "mesh", "heightmap", "pointcloud")
 _RATE, _SEGMENT = 0.5, 0.8  # rad/s or m/s at most, and the least s of a leg, so that rates are kept
 _SUDDEN = 100.0  # rad/s^2 or m/s^2: reverses within 0.02 s, twice over; the attack is on distances
 _SHORTEST, _MOST_SAMPLES = 0.4, 40  # s between two samples, and the largest number of samples
@@ -252,7 +252,7 @@ class _Draft:
 
     def _shape(self, number: int, place: Vector, away: Vector, size: Vector) -> Record:
         rng = self.rng
-        shape = str(rng.choice(_SHAPES))
+        shape = str(rng.choice(SHAPES))
         if shape == "halfspace":
             return {"shape": shape, "point": place.tolist(), "normal": (-away).tolist()}
         if shape == "capsule":

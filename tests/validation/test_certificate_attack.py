@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+import strategies
 
 import backhoe_planner as bp
+from backhoe_planner.site.schema import obstacle_shapes
 from validation.certificate_attack import Comparison, attack_seeds, compare, summarise
 from validation.convex_gaps import Part, ball, block, drum, gap, rod
 from validation.dense_sweep import link_bodies
 from validation.link_pairs import find_pairs, touch_share
-from validation.random_attacks import TURNS, Attack, Attacked, random_attack, random_attacked
+from validation.random_attacks import SHAPES, TURNS, Attack, Attacked, random_attack, random_attacked
 from validation.random_machines import write_random_machine
 from validation.raw_obstacles import RawObstacle, read_obstacle
 from validation.raw_urdf import read_raw_urdf, rotation_of
@@ -46,6 +48,18 @@ def attacks(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Attack, bp.C
 @pytest.fixture(scope="module")
 def compared(attacks: list[tuple[Attack, bp.Certificate]]) -> list[Comparison]:
     return [compare(attack, certificate) for attack, certificate in attacks]
+
+
+def test_every_shape_is_drawn_attacked_and_measured() -> None:
+    """A shape that only the planner knows would be neither in random scenes nor in the independent check."""
+    records = obstacle_shapes.shape_records()
+    assert set(SHAPES) == set(records)
+    assert set(strategies.SHAPES) == set(records)
+    required = {
+        name: {field.alias or key for key, field in record.model_fields.items() if field.is_required()}
+        for name, record in records.items()
+    }
+    assert {name: {"name", "shape", *keys} for name, keys in strategies.SHAPES.items()} == required
 
 
 def test_no_certificate_claims_more_than_was_measured(compared: list[Comparison]) -> None:

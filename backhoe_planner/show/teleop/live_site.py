@@ -33,7 +33,6 @@ _MOST = 40  # obstacles; chosen, each costs time in every step
 _BRAKING = 0.6  # part of the acceleration; chosen, less than the servo's `BRAKING`, so that the servo can brake sooner
 _SPARE = 0.004  # m beyond the clearance; chosen, twice the servo's `BUFFER`, so that the servo begins with no violation
 _DEPTH = 10  # halvings of the braking path in the proof that there is room; 1024 parts
-_LAND = (obstacle_shapes.HalfSpace, obstacle_shapes.HeightMap, obstacle_shapes.PointCloud)  # the site itself
 
 
 @dataclass
@@ -228,7 +227,7 @@ class LiveSite:
 
     def _stays(self, name: str) -> bool:
         obstacle = self._standing[name].obstacle
-        return obstacle.zone is not None or isinstance(obstacle.spec, _LAND)
+        return obstacle.zone is not None or obstacle.spec.is_land
 
     def _check_count(self, key: str) -> None:
         if len(self._standing) >= _MOST:

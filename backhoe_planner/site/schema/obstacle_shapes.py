@@ -1,14 +1,15 @@
 """The shapes of obstacles: the keys of each in the scene file, and the convex pieces that contain it.
 
 A new shape is one more class here, with its keys and its `pieces`, and one more name in
-`ObstacleSpec`. The schema, messages, distances, proofs and pictures follow from these.
+`ObstacleSpec`. The schema, messages, distances, proofs and pictures follow from these;
+docs/architecture.md says what else names all shapes.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -65,6 +66,9 @@ _ONE_POINT = 1e-9  # m: a shorter axis has no direction
 
 class ObstacleRecord(Record):
     """The keys that every obstacle has."""
+
+    is_land: ClassVar[bool] = False
+    """Whether it is the site itself, unbounded or surveyed: nothing carries it, and nobody moves it by hand."""
 
     name: Name
     """Unique; appears in reports and in the viewer."""
@@ -194,6 +198,8 @@ class Capsule(ObstacleRecord):
 class HalfSpace(ObstacleRecord):
     """Everything behind a plane: solid where (x - point) . normal < 0."""
 
+    is_land = True
+
     shape: Literal["halfspace"]
     point: Vector3
     """A point on the plane [m]."""
@@ -298,6 +304,8 @@ class Mesh(PlacedRecord):
 class HeightMap(PlacedRecord):
     """Ground given by heights on a grid; solid below."""
 
+    is_land = True
+
     shape: Literal["heightmap"]
     file: str
     """CSV of heights [m] without header; rows along y, columns along x, both ascending; or a GeoTIFF."""
@@ -329,6 +337,8 @@ class HeightMap(PlacedRecord):
 
 class PointCloud(PlacedRecord):
     """Points from a scan; every voxel that contains one is solid."""
+
+    is_land = True
 
     shape: Literal["pointcloud"]
     file: str
@@ -389,3 +399,9 @@ def scan_body(points: Matrix, resolution: float, placement: pin.SE3) -> list[sha
 ObstacleSpec = Annotated[
     Sphere | Box | Cylinder | Capsule | HalfSpace | Mesh | HeightMap | PointCloud, Field(discriminator="shape")
 ]
+
+
+def shape_records() -> dict[str, type[ObstacleRecord]]:
+    """The record of every shape, by its name in the scene file."""
+    records: tuple[type[ObstacleRecord], ...] = get_args(get_args(ObstacleSpec)[0])
+    return {get_args(record.model_fields["shape"].annotation)[0]: record for record in records}

@@ -10,14 +10,13 @@ from pydantic import Field, field_validator, model_validator
 from backhoe_planner.files.records import Record, exactly_one
 from backhoe_planner.site.schema.digging import Soil
 from backhoe_planner.site.schema.names import Name, check_name
-from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec
+from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec, shape_records
 from backhoe_planner.site.schema.quantities import NonNegative, Positive, Vector3
 from backhoe_planner.site.schema.tasks import SLOWEST, Goal, Goals, JointsGoal, Keep, PathTask, TiltRange
 
 ObjectiveName = Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"]
 
 _WIDE_TILT = 1.0  # tolerance of a tilt that is rather meant in degrees: no cup or fork is level at 57 deg [rad]
-_CARRIED = ("box", "capsule", "cylinder", "mesh", "sphere")
 _NOT_CARRIED = ("appears_at", "velocity", "links", "legs", "clearance")  # keys that only an obstacle on the site has
 
 
@@ -107,10 +106,9 @@ class Leg(Record):
                 f"speed is given twice, as {self.speed:g} for the leg and as {self.path.speed:g} for its path"
             )
         if self.carries is not None:
-            if self.carries.shape not in _CARRIED:
-                raise ValueError(
-                    f"carries: a {self.carries.shape} cannot be carried; allowed shapes: {', '.join(_CARRIED)}"
-                )
+            if self.carries.is_land:
+                allowed = ", ".join(sorted(name for name, record in shape_records().items() if not record.is_land))
+                raise ValueError(f"carries: a {self.carries.shape} cannot be carried; allowed shapes: {allowed}")
             wrong = [key for key in _NOT_CARRIED if key in self.carries.model_fields_set]
             if wrong:
                 raise ValueError(f"carries: {wrong[0]} applies only to obstacles on the site; leave it out")
