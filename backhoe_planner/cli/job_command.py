@@ -56,8 +56,7 @@ def job(
     check_apart([output, html])
     loaded = bp.load_job(file)
     inputs = (*loaded.files, *(() if from_terrain is None else (from_terrain,)))
-    if output is not None:
-        check_record(output, inputs)
+    check_record(output, inputs)
     if html is not None:
         check_output(html, inputs)
         check_ending(html, show.PAGE_FORMATS, what="a page")

@@ -115,10 +115,9 @@ def in_order(ranked: Sequence[RankedPlace]) -> list[RankedPlace]:
 
 def _estimated(job: Job, place: RankedPlace) -> RankedPlace:
     try:
-        found = estimate_job(job, few=True)
+        best = estimate_job(job)
     except InputError as error:
         return replace(place, note=_briefly(error))
-    best = found.best
     return replace(place, estimated=best.cost if math.isfinite(best.cost) else math.nan, bank=best.bank)
 
 

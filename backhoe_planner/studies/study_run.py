@@ -81,7 +81,7 @@ class StudyResult:
     @cached_property
     def table(self) -> Any:
         """A `pyarrow.Table` with one row for each plan that is done."""
-        return build_table(self.template, self.rows, self.outcomes, all_rows=False)
+        return build_table(self.template, self.rows, self.outcomes)
 
     def write(self) -> None:
         """Write the tables into the folder."""

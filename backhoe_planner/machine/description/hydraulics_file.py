@@ -238,10 +238,10 @@ def _linkage(spec: CylinderRecord, joint: Joint, place: _Place) -> Triangle | Fo
     plane = _Plane(joint)
     base, moved = plane.of_parent(spec.parent), plane.of_child(spec.child)
     if spec.rocker is None:
-        return _triangle(base, moved, place, "parent", "child")
+        return _triangle(base, moved, place, "child")
     rocker = spec.rocker
     pivot, R, C = plane.of_parent(rocker.pivot), plane.of_parent(rocker.link), plane.of_parent(rocker.cylinder)
-    drive = _triangle(base - pivot, C - pivot, place, "parent", "rocker.cylinder")
+    drive = _triangle(base - pivot, C - pivot, place, "rocker.cylinder")
     r = R[:2] - pivot[:2]
     if np.hypot(*r) < _ALONG_AXIS:
         raise place.wrong("the link's pin lies on the rocker's pivot", key="rocker.link", found=list(rocker.link))
@@ -262,9 +262,10 @@ def _linkage(spec: CylinderRecord, joint: Joint, place: _Place) -> Triangle | Fo
     )
 
 
-def _triangle(base: Vector, moved: Vector, place: _Place, base_key: str, moved_key: str) -> Triangle:
+def _triangle(base: Vector, moved: Vector, place: _Place, moved_key: str) -> Triangle:
+    """The triangle of a cylinder between its pin `base` (3,) on the parent, and `moved` (3,), given by `moved_key`."""
     a, b = float(np.hypot(base[0], base[1])), float(np.hypot(moved[0], moved[1]))
-    for length, key in ((a, base_key), (b, moved_key)):
+    for length, key in ((a, "parent"), (b, moved_key)):
         if length < _ALONG_AXIS:
             raise place.wrong("the pin has no lever: it lies on the axis about which the cylinder turns", key=key)
     phi0 = math.atan2(moved[1], moved[0]) - math.atan2(base[1], base[0])

@@ -15,7 +15,7 @@ from backhoe_planner.studies.rows.drawing import StudyRow
 from backhoe_planner.studies.rows.template import Template
 
 
-def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int, Outcome], *, all_rows: bool) -> Any:
+def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int, Outcome]) -> Any:
     """The table of the rows that are done, in their order: a `pyarrow.Table`.
 
     Columns are `row`, the parameters, `method`, `effort` and `seed` of the plan, `verdict`, `reason`, `message`, the
@@ -26,27 +26,26 @@ def build_table(template: Template, rows: Sequence[StudyRow], found: Mapping[int
     ----------
     rows: all rows of the study; they determine the types of the parameters.
     found: their results, by row number.
-    all_rows: whether rows that are not done are included, with nothing but their parameters.
     """
     import pyarrow as pa
 
-    shown = [row for row in rows if all_rows or row.number in found]
+    shown = [row for row in rows if row.number in found]
     units = template.column_units
     columns: dict[str, Any] = {"row": pa.array([row.number for row in shown], pa.int64())}
     names = list(rows[0].values) if rows else []
     for name in names:
         type_ = _type_of([row.values[name] for row in rows])
         columns[name] = pa.array([_cell(row.values[name], type_) for row in shown], type_)
-    outcomes = [found.get(row.number) for row in shown]
+    outcomes = [found[row.number] for row in shown]
     for name in ("method", "effort", "seed"):
         if name not in names and not (template.kind == "job" and name == "method"):
             value = template.filled({})[1][name]
             columns[name] = pa.array([value] * len(shown), pa.int64() if name == "seed" else pa.string())
     for name in ("verdict", "reason", "message"):
-        columns[name] = pa.array([None if one is None else getattr(one, name) for one in outcomes], pa.string())
+        columns[name] = pa.array([getattr(one, name) for one in outcomes], pa.string())
     types = {"float": pa.float64(), "int": pa.int64(), "string": pa.string(), "bool": pa.bool_()}
     for metric in template.metrics:
-        values = [None if one is None else one.metrics.get(metric.name) for one in outcomes]
+        values = [one.metrics.get(metric.name) for one in outcomes]
         columns[metric.name] = pa.array(values, types[metric.type])
     versions = json.dumps(installed_versions(), sort_keys=True)
     columns["versions"] = pa.array([versions] * len(shown), pa.string()).dictionary_encode()
