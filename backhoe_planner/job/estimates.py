@@ -24,7 +24,7 @@ from backhoe_planner.job.result.job_plan import PatternEstimate
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.machine import Dynamics
 
-_MOST_CYCLES = 2000
+_MOST_CYCLES = 2000  # of an estimate; chosen, it only ends what would not end
 _ENOUGH = 0.95  # of the most that any pattern digs; chosen: the cost of a pattern that digs less cannot be compared
 _PLACES = 25  # along a motion through the air; chosen
 _EASY = 2.0 / 3.0  # of the speed of the fastest motion, if the work counts: a plan then takes half as long again

@@ -25,7 +25,7 @@ from backhoe_planner.job.worksite.worksite import Worksite, build_worksite
 from backhoe_planner.planning import EFFORTS
 
 DEFAULT_EFFORT = "quick"  # chosen: each of the jobs in scenes/jobs is planned within a minute
-_MOST_CYCLES = 5000
+_MOST_CYCLES = 5000  # of a job; chosen, it only ends what would not end
 _MOST_REFUSED = 25  # cuts in a row that cannot be planned before the job is given up; chosen
 _BESIDE = 0.15  # m of radius that are left out next to a cut that could not be planned; chosen
 _NO_PROGRESS = 1e-3  # m^3 dug in a cycle: less is no progress

@@ -18,7 +18,7 @@ from backhoe_planner.proof.goal_features import Features
 _STEPS = 3  # of the descent to a direction; chosen: more steps cost more time than they save in boxes
 _DAMPING = 1e-3  # part of the mean square of the derivatives; chosen, keeps the equations solvable
 _LEAST_SHARE = 1e-3  # of a joint in its own row; if it is less, the row does not bound the joint; chosen
-_TINY = 1e-300
+_TINY = 1e-300  # keeps quotients finite
 
 
 def best_directions(features: Features, low: Matrix, high: Matrix) -> Matrix:

@@ -11,7 +11,7 @@ from backhoe_planner.job import Worksite
 
 EDGE = 0.6  # m between machine and dig: 2 ft in OSHA 29 CFR 1926.651(j)(2), 0.6 m free of load in DIN 4124
 _SPACING = 0.1  # m between points, at least
-_MOST_POINTS = 400.0
+_MOST_POINTS = 400.0  # about, in all: points of a larger area are further apart; chosen
 _ACROSS = 7  # points across the blade, as for the lanes
 _FAN = 0.04  # rad between lanes, as for the lanes
 _STEP = 0.1  # m of radius between positions of the blade

@@ -24,7 +24,7 @@ from backhoe_planner.standing.site_map import LINE_STEP, SAME_SHARE, Spot, SpotF
 
 _SPARE = 0.05  # m of radius by which a section is within the reach at both ends; chosen
 _OVERLAP = 0.1  # m by which a section extends beyond the slope that the previous one leaves; chosen
-MOST_PLACES = 50
+MOST_PLACES = 50  # along one trench; chosen
 _TRIES = 2  # places of a section that are planned, the best first
 _AROUND = 1.0  # m of ground around everything that is dug, heaped and reached
 _APART = 0.4  # m between places of a section that are tried

@@ -56,7 +56,7 @@ _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint: most m
 _SMALLEST_BENT = 0.004  # the same for another cost than the time, whose curvature shrinks steps too; chosen
 _AROUND = 3.0  # times the last step: the largest box of the next one, for another cost than the time; chosen
 NO_COST = 1e-9  # in the objective's unit: a smaller cost counts as this
-_GROW, _SHRINK = 1.5, 0.4
+_GROW, _SHRINK = 1.5, 0.4  # factors on the box after a step that is taken, and after one that is not; chosen
 _SHORTENINGS = 2  # of a step that costs more, if the cost is not the time; chosen: each takes half of a round
 _SHORTEST = 0.1  # least part of a step that one shortening leaves; chosen
 # part of the mean cost per joint and second, by which the cost's kinks are rounded off; chosen

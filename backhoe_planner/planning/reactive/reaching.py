@@ -35,6 +35,13 @@ _HOLD = 0.4  # s after the tip left a surface, when the surface no longer counts
 _LEADS = 0.6  # part of the direction to the goal along a surface, from which it leads to the goal; chosen
 _CLOSE = 0.1  # m of margin; chosen: pairs nearer than this define the surface
 _BRAKING_PART = 0.5  # part of the acceleration limit; chosen: half is kept in reserve
+_FADE = 0.05  # m and rad left, below which the terms in the null space fade out; chosen
+_DAMPING = 1e-4  # of the inverse that estimates the joint rates: the square of a small singular value; chosen
+_NEARER = 0.02  # m and rad by which the tip must be nearer than where it hit before it leaves a surface; chosen
+_LEAST_AIM = 0.3  # m: nearer to the goal, the tip circulates as fast as from here; chosen
+_INTO = 0.3  # part of the direction that points into the surface, so as not to lose it; chosen
+_LEVEL = 0.9  # of a normal's vertical part: more is a floor or a ceiling, as its slope is below 26 deg; chosen
+_TOUCHING = 0.01  # m added to margins as weights, so that what touches does not count alone; chosen
 _SETTLE = 10.0  # 1/s: chosen, the rate at which a motion ends; five of its time constants are half a second
 
 
@@ -132,10 +139,10 @@ def _drive_tip(stepper: Stepper, goal: Goal, sense: Sense | None, way: str, work
             stepper.stop()
             break
         wished = turning.direction(error, at, nearby, stepper, left)
-        dq = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(len(J)), wished)
+        dq = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(J)), wished)
         xdot = wished * _pace(problem.limits, dq)
         primary, null = law.terms_unchecked(at, J, xdot, nearby)
-        fade = min(1.0, left / 0.05) if null_space else 0.0
+        fade = min(1.0, left / _FADE) if null_space else 0.0
         if not stepper.advance(_within_rates(primary + fade * null, problem.limits), nearby, at.jacobian[:3]):
             break
         if turning.active:
@@ -239,17 +246,16 @@ class _Turning:
         toward[:rows] = error[:rows]
         into = float(toward @ self._normal)
         off_surface = normal is None and stepper.time - self._touched > _HOLD
-        if left < self._hit - 0.02 and (into <= 0.0 or off_surface):
+        if left < self._hit - _NEARER and (into <= 0.0 or off_surface):
             self._hit = None
             return error
-        size = max(float(np.linalg.norm(toward)), 0.3)
+        size = max(float(np.linalg.norm(toward)), _LEAST_AIM)
         along = toward - into * self._normal
         if float(np.linalg.norm(along)) < _LEADS * float(np.linalg.norm(toward)):
             along = _tangent(self._normal, self._sense, at)
         along = along / max(float(np.linalg.norm(along)), 1e-9)
         found = np.array(error)
-        # slightly into the surface, so as not to lose it
-        found[:rows] = (size * (along + 0.3 * self._normal))[:rows]
+        found[:rows] = (size * (along + _INTO * self._normal))[:rows]
         return found
 
 
@@ -257,10 +263,10 @@ def _tangent(normal: Vector, sense: Sense, at: Configuration) -> Vector:
     """(3,) a vector of any length along a surface in the given sense; `normal` (3,) points into the surface."""
     up = np.array([0.0, 0.0, 1.0])
     if sense in (Sense.LEFT, Sense.RIGHT):
-        left = np.cross(normal, up) if abs(normal[2]) < 0.9 else np.cross(up, at.tip_position - at.points[0])
+        left = np.cross(normal, up) if abs(normal[2]) < _LEVEL else np.cross(up, at.tip_position - at.points[0])
         return np.asarray(left if sense is Sense.LEFT else -left)
     rise = up - normal[2] * normal
-    if abs(normal[2]) > 0.9:  # on a floor or a ceiling, "over" means back towards the machine
+    if abs(normal[2]) > _LEVEL:  # on a floor or a ceiling, "over" means back towards the machine
         rise = at.points[0] - at.tip_position
         rise = rise - (rise @ normal) * normal
     return np.asarray(rise if sense is Sense.UP else -rise)
@@ -274,7 +280,7 @@ def _blocking_normal(nearby: Nearby, stepper: Stepper) -> Vector | None:
     close = nearby.margin < _CLOSE
     if not np.any(close):
         return None
-    weight = 1.0 / (np.maximum(nearby.margin[close], 0.0) + 0.01)
+    weight = 1.0 / (np.maximum(nearby.margin[close], 0.0) + _TOUCHING)
     mean = weight @ nearby.normal[close]
     length = float(np.linalg.norm(mean))
     return mean / length if length > 1e-9 else None
