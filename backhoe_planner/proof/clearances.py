@@ -80,13 +80,13 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
         floor = np.where(proximity.appears_at <= moment, enough + proximity.clearance, -np.inf)
         pairs = measure_below(proximity, q[row], moment, known, floor)
         note(row, pairs, known[pairs] - proximity.clearance[pairs])
-    for stretch in bound_samples(proximity, time, q, enough, note, until=time):
-        margins, measured = stretch.margins, stretch.measured
-        lowest = 0.5 * (margins[:-1] + margins[1:] - stretch.ways)
+    for samples in bound_samples(proximity, time, q, enough, note, until=time):
+        margins, measured = samples.margins, samples.measured
+        lowest = 0.5 * (margins[:-1] + margins[1:] - samples.ways)
         for row, pair in np.argwhere(~(lowest >= enough)).tolist():
             a, b = (float(margins[k, pair]) if measured[k, pair] else None for k in (row, row + 1))
-            way = float(stretch.ways[row, pair])
-            searches[owners[pair]].open(float(lowest[row, pair]), stretch.first + row, pair, way, (a, b))
+            way = float(samples.ways[row, pair])
+            searches[owners[pair]].open(float(lowest[row, pair]), samples.first + row, pair, way, (a, b))
     found = [clearance for search in searches if (clearance := search.finish()) is not None]
     return tuple(sorted(found, key=lambda clearance: clearance.margin))
 
@@ -290,12 +290,12 @@ def motion_is_clear(proximity: Proximity, time: Vector, q: Matrix) -> bool:
 
     proximity.cover_unchecked(q)
     # an obstacle that appears between two samples counts on the whole segment
-    for stretch in bound_samples(proximity, time, q, owed, note, until=np.append(time[1:], time[-1])):
-        lowest = 0.5 * (stretch.margins[:-1] + stretch.margins[1:] - stretch.ways)
+    for samples in bound_samples(proximity, time, q, owed, note, until=np.append(time[1:], time[-1])):
+        lowest = 0.5 * (samples.margins[:-1] + samples.margins[1:] - samples.ways)
         doubtful = ~(lowest >= owed)
         for row in np.flatnonzero(doubtful.any(axis=1)).tolist():
-            pairs, k = doubtful[row].nonzero()[0], stretch.first + row
-            way, dt = stretch.ways[row, pairs], float(time[k + 1] - time[k])
+            pairs, k = doubtful[row].nonzero()[0], samples.first + row
+            way, dt = samples.ways[row, pairs], float(time[k + 1] - time[k])
             floor = proximity.clearance[pairs] - STEP_ROUNDING + way
             d_a, d_b = (
                 proximity.distances_below_unchecked(pairs, floor, q[end], time=float(time[end])) for end in (k, k + 1)

@@ -20,8 +20,8 @@ _TOGETHER = 64  # samples; chosen: with thousands of pairs their bounds take a f
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
-    """The margins at K consecutive samples; the last sample is also the first of the next stretch.
+class SampleMargins:
+    """The margins at K consecutive samples; the last sample is also the first of the next ones.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Stretch:
 def bound_samples(
     proximity: Proximity, time: Vector, q: Matrix, enough: Vector,
     note: Callable[[int, Indices, Vector], Vector | None], *, until: Vector,
-) -> Iterator[Stretch]:  # fmt: skip
+) -> Iterator[SampleMargins]:  # fmt: skip
     """The margins of all pairs at the samples; a pair is measured only if its bound is not enough.
 
     Parameters
@@ -87,7 +87,7 @@ def bound_samples(
         margins = bounds - proximity.clearance
         if some_appear:
             margins[proximity.appears_at > until[rows, None]] = np.inf
-        yield Stretch(first, margins, measured, ways)
+        yield SampleMargins(first, margins, measured, ways)
 
 
 def measure_below(proximity: Proximity, q: Vector, time: float, lower: Vector, floor: Vector) -> Indices:
