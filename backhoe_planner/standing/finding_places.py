@@ -81,7 +81,10 @@ def stand(
     finder = spot_finder(job, told)
     found = site_map(finder, lambda done, total: told("looking at places", done, total))
     most = max((spot.share for row in found.spots for spot in row if math.isfinite(spot.cost)), default=0.0)
-    empty = StandPlan(job, (), (), found, finder.footprint.outlines)
+    empty = StandPlan(
+        job, (), (), found, finder.footprint.outlines, robot=finder.site.robot, ground=finder.site.ground,
+        dumps=tuple(dump.outline for dump in finder.dumps),
+    )  # fmt: skip
     trench = job.dig.trench
     if trench is not None and most < 1.0 - SAME_SHARE:
         made = dig_in_sections(job, finder, effort=effort, seed=seed, told=told)
@@ -117,7 +120,9 @@ def spot_finder(job: Job, told: Callable[[str, int, int], object]) -> SpotFinder
     area = dig_area(free)
     if not len(area.points):
         raise InputError("nothing is to be dug: the design lies at or above the ground", key="dig", file=job.file)
-    reach = reach_map(job, ground=area.ground, depth=area.depth)
+    # ground that rises from where the machine stands is not beside the machine, where its arm would be in it
+    ground = area.ground if job.ground.file is None else min(area.ground, 0.0)
+    reach = reach_map(job, ground=ground, depth=ground - float(area.z.min()))
     told("mapping the reach", 1, 1)
     return SpotFinder(job, free, area, reach)
 

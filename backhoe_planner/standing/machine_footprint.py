@@ -10,6 +10,7 @@ from backhoe_planner.machine import Base, Robot
 
 _CELL = 0.05  # m, cell of the grid of distances: that of the ground
 _AROUND = 3.0  # m around the machine that the grid covers; chosen, greater distances do not matter
+_CORNERS = 24  # of a circle as it is drawn
 _HALF_DIAGONAL = 0.5 * 2.0**0.5  # of a cell: the largest error of a distance that is looked up
 
 
@@ -75,12 +76,21 @@ def _outline(points: Matrix, radius: float) -> Matrix:
 
     They are ordered counter-clockwise.
     """
+    around = max(radius, 1e-3) * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return _hull(points, around)
+
+
+def convex_outline(points: Matrix, radius: float) -> Matrix:
+    """(k, 2) corners of the convex hull of circles around points (m, 2), of a `radius` above 0 [m], anticlockwise."""
+    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
+    return _hull(points, radius * np.column_stack((np.cos(angle), np.sin(angle))))
+
+
+def _hull(points: Matrix, around: Matrix) -> Matrix:
     from scipy.spatial import ConvexHull
 
-    around = max(radius, 1e-3) * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     every = (points[:, None, :] + around).reshape(-1, 2)
-    hull = ConvexHull(every)
-    return np.asarray(every[hull.vertices])
+    return np.asarray(every[ConvexHull(every).vertices])
 
 
 def axis_offset(axis: Vector, base: Base) -> Vector:

@@ -34,10 +34,12 @@ from backhoe_planner.standing.moved_job import job_with
 _FARTHEST, _NEAREST = 7.5, 0.9  # m from the swing axis between which the reach is computed; the machine with 4.4 m
 # digging depth reaches 5.7 m
 _DEEPER = 0.05  # m: depths are rounded up to this for sharing a map
+_SHALLOWEST = 0.1  # m: as deep is the trench of a map at least; more than the tolerance of a trench
 _EVERY = 0.25  # m between radii at which a cut is searched; chosen
 _DEPTH = 0.3  # m, greatest depth of these cuts; chosen, that of the layers that are chosen most often
 _LENGTH = 2.5  # m of radius in which such a cut must end; chosen, a bucket is full after 0.8 to 1.5 m
 _NEARLY_AS_FULL = 0.5  # of the soil in the fullest cut, if none fills the bucket; chosen
+_DIGS = 1e-6  # m below the ground at which the teeth dig; rounding
 _DUMPS = np.arange(0.6, _FARTHEST, 0.1)  # m, radii at which emptying the bucket is evaluated
 
 
@@ -66,7 +68,7 @@ class ReachMap:
 
     Attributes
     ----------
-    r, floor: (K,) radii and the lowest heights z at which the teeth dig there [m].
+    r, floor: (K,) radii and the lowest heights z at which the teeth dig there [m]; infinite where they do not dig.
     cuts: (M,) radii at which a cut begins.
     time, work: (M,) of the cut alone [s], [J].
     bank: (M,) bank volume of the soil that the cut takes [m^3].
@@ -93,6 +95,11 @@ class ReachMap:
         """(...) whether the teeth dig down to heights z (...) at radii r (...) [m]."""
         floor = np.interp(r, self.r, self.floor, left=np.inf, right=np.inf)
         return np.asarray(floor <= z)
+
+    @property
+    def farthest(self) -> float:
+        """The greatest radius at which the teeth dig [m]; 1 if they dig nowhere."""
+        return float(self.r[np.isfinite(self.floor)].max(initial=1.0))
 
     def depth_range(self, z: float) -> tuple[float, float] | None:
         """The least and the greatest radius of the longest stretch in which the teeth dig down to a height z [m].
@@ -161,7 +168,7 @@ def reach_map(job: Job, *, ground: float, depth: float) -> ReachMap:
     ------
     SceneError: the machine digs nowhere.
     """
-    deepest = _DEEPER * math.ceil(depth / _DEEPER - 1e-6)
+    deepest = _DEEPER * math.ceil(max(depth, _SHALLOWEST) / _DEEPER - 1e-6)
     return _made(_Machine(job, round(ground, 3), round(deepest, 3)))
 
 
@@ -191,7 +198,7 @@ def _made(machine: _Machine) -> ReachMap:
     limits = site.problem.limits
     room = np.array([limits.lower[0], limits.upper[0]]) if plane.swings else np.zeros(2)
     return ReachMap(
-        r=lane.r[known], floor=lane.floor[known],
+        r=lane.r[known], floor=np.where(lane.floor < ground - _DIGS, lane.floor, np.inf)[known],
         cuts=np.array([float(cut.r[0]) for cut in found]),
         time=np.array([cut.time for cut in found]), work=np.array([cut.work for cut in found]),
         bank=np.array([cut.bank_volume for cut in found]), begin=begin, end=end,

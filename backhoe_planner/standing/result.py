@@ -9,8 +9,8 @@ from typing import Literal
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import check_path
-from backhoe_planner.job import Job, JobPlan
-from backhoe_planner.machine import Base
+from backhoe_planner.job import Job, JobPlan, Terrain
+from backhoe_planner.machine import Base, Robot
 from backhoe_planner.standing.site_map import SiteMap
 
 StandReason = Literal["", "unreachable", "blocked", "not_done"]
@@ -83,6 +83,9 @@ class StandPlan:
     failure: why the job cannot be dug; empty if it can.
     note: the same in a sentence.
     planning_time: time by the clock that the search took [s].
+    robot: the machine; None if it is not known.
+    ground: before the first cycle, with what stands on it; None if it is not known.
+    dumps: (k, 2) outlines of the areas that the places to dump take up if all soil goes there [m].
     """
 
     job: Job
@@ -93,6 +96,9 @@ class StandPlan:
     failure: StandReason = ""
     note: str = ""
     planning_time: float = math.nan
+    robot: Robot | None = None
+    ground: Terrain | None = None
+    dumps: tuple[Matrix, ...] = ()
 
     @property
     def verified(self) -> bool:

@@ -216,7 +216,7 @@ def _whole_ground(job: Job, finder: SpotFinder) -> dict[str, Any]:
         return dict(given)
     trench = job.dig.trench
     assert trench is not None
-    farthest = float(finder.reach.r[finder.reach.floor < finder.area.ground - 1e-6].max()) + _AROUND
+    farthest = finder.reach.farthest + _AROUND
     ends = np.array([trench.start, trench.end])
     points: list[Matrix] = [ends - farthest, ends + farthest]
     points += [dump.keep_off - dump.distance for dump in finder.dumps]

@@ -14,7 +14,7 @@ from backhoe_planner.job import UNEVEN, Job, Worksite, off_ground_obstacles
 from backhoe_planner.machine import Base
 from backhoe_planner.site import build_obstacles, stands_in, starts_in
 from backhoe_planner.standing.dig_area import DigArea
-from backhoe_planner.standing.machine_footprint import MachineFootprint, axis_offset
+from backhoe_planner.standing.machine_footprint import MachineFootprint, axis_offset, convex_outline
 from backhoe_planner.standing.reach_map import DumpTable, ReachMap, dump_table
 
 LINE_STEP, GRID_STEP = 0.1, 0.4  # m between places on a trench's line, and on a grid; chosen
@@ -25,13 +25,15 @@ _TRUCK = 0.3  # m between the machine and a truck; chosen
 SAME_SHARE = 0.02  # of the soil: places that dig so much less count as equal
 _SAME_COST = 0.02  # of the cost: then the heading that reaches more dumps is taken; the map is no finer than that
 _ENOUGH_DUMPS = 3  # reached from a heading: more is no reason to turn the machine; chosen
-REASONS = ("line", "reach", "dump", "edge", "ground", "heap", "obstacle")  # the later, the closer to a usable place
+# the later, the closer to a usable place
+REASONS = ("line", "reach", "dump", "edge", "unknown", "ground", "heap", "obstacle")
 _WORDS = {
     "line": "not in line with the trench",
     "reach": "out of reach",
     "dump": "no dump in reach",
     "edge": "on the dig, or too near its edge",
-    "ground": "the ground is not level there, or not known",
+    "unknown": "the ground there is not known: ground.low and ground.high leave it out, or the file does",
+    "ground": "the ground is not level there",
     "heap": "on the heap or the truck",
     "obstacle": "in",
 }
@@ -74,6 +76,11 @@ class DumpPlace:
     table: DumpTable
     keep_off: Matrix
     distance: float
+
+    @property
+    def outline(self) -> Matrix:
+        """(k, 2) convex outline of the area from which the machine keeps away [m]."""
+        return convex_outline(self.keep_off, self.distance)
 
 
 class SpotFinder:
@@ -188,8 +195,8 @@ class SpotFinder:
             return "edge", "", ()
         if keep_off is not None and len(keep_off) and footprint.distances(base, keep_off).min() <= 0.0:
             return "edge", "", ()
-        if not self._is_level(base):
-            return "ground", "", ()
+        if reason := self._bad_ground(base):
+            return reason, "", ()
         clear = tuple(
             number for number in dumps
             if footprint.distances(base, self.dumps[number].keep_off).min() > self.dumps[number].distance
@@ -205,15 +212,17 @@ class SpotFinder:
             return "obstacle", f"the way of {found.obstacle}, with its {found.link} as the job starts", ()
         return "", "", clear
 
-    def _is_level(self, base: Base) -> bool:
-        """Whether the ground under the machine is known, and level with the machine."""
+    def _bad_ground(self, base: Base) -> str:
+        """Why the ground under the machine is not fit for it: not known, or not level with it; empty if it is fit."""
         if not self.footprint.outlines:
-            return True
+            return ""
         points = np.vstack(self.footprint.placed(base))
         heights = self.site.ground.height_at(points)
         if self._job.ground.file is None:
             heights = np.where(np.isfinite(heights), heights, self._job.ground.level or 0.0)
-        return bool(np.isfinite(heights).all() and np.abs(heights).max() <= UNEVEN)
+        if np.nanmax(np.abs(heights), initial=0.0) > UNEVEN:
+            return "ground"
+        return "" if np.isfinite(heights).all() else "unknown"
 
 
 def _later(one: Spot, other: Spot) -> Spot:
@@ -308,7 +317,7 @@ def site_map(finder: SpotFinder, told: Callable[[int, int], object]) -> SiteMap:
     told: called with the number of rows that are done, and of all rows.
     """
     area = finder.area
-    far = float(finder.reach.r[finder.reach.floor < area.ground - 1e-6].max(initial=1.0))
+    far = finder.reach.farthest
     step = LINE_STEP if area.in_line else GRID_STEP
     half_u, half_v = 0.5 * area.length + far, 0.5 * area.width + far
     u = step * np.arange(-math.ceil(half_u / step), math.ceil(half_u / step) + 1)

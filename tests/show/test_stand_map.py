@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import label
-from small_jobs import small_job, tiny_plan
+from small_jobs import small_job
 
 import backhoe_planner as bp
-from backhoe_planner.job import OffGround
+from backhoe_planner.job import OffGround, build_worksite
 from backhoe_planner.machine import Base
 from backhoe_planner.show import plot_stand, write_stand_page
-from backhoe_planner.standing import Place, SiteMap, Spot
+from backhoe_planner.standing import SiteMap, Spot
 
 SHADES = ("#0b6e4f", "#5fae7b", "#d5e3a6", "#f2c879", "#c8643c")  # cheap to dear, a quarter of the range apart
 COSTS = [10.0, 11.0, 12.25, 13.0, 14.5, 15.0, 16.75, 17.0, 18.0, 19.0, 25.0]
@@ -163,10 +163,9 @@ def test_what_stands_on_the_ground_of_a_cloud_is_on_the_map(plan: bp.StandPlan, 
     """Two walls of 2 m at a right angle, 0.1 m thick and 0.4 m high: 39 columns of 0.1 m."""
     columns = [(x, -14) for x in range(20, 40)] + [(20, y) for y in range(-13, 6)]
     stands = OffGround(0.1, np.array([(*one, z) for one in columns for z in range(4)]))
-    first = tiny_plan()
-    placed = replace(first, start=replace(first.start, off_ground=stands))
-    places = (Place(Base((0.0, 0.0), 0.0), placed),)
-    write_stand_page(replace(plan, job=small_job(site={}), places=places), tmp_path / "stand.html")
+    job = small_job(site={})
+    ground = replace(build_worksite(job).ground, off_ground=stands)
+    write_stand_page(replace(plan, job=job, ground=ground), tmp_path / "stand.html")
     text = (tmp_path / "stand.html").read_text()
     drawn = [np.array(POINT.findall(one), dtype=float) * [1.0, -1.0]
              for one in re.findall(r'<polygon class="obstacle" points="([^"]*)"', text)]  # fmt: skip

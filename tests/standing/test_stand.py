@@ -17,7 +17,7 @@ from small_jobs import TINY, small_job
 
 import backhoe_planner as bp
 from backhoe_planner.cli.stand_command import print_stand
-from backhoe_planner.job import Job, build_worksite, load_job_plan
+from backhoe_planner.job import Job, build_worksite, job_from_dict, load_job_plan
 from backhoe_planner.machine import Base, Robot
 from backhoe_planner.standing import (
     MachineFootprint,
@@ -103,6 +103,33 @@ def test_a_trench_as_wide_as_the_bucket_is_dug_only_from_its_own_line(plain: Sit
                 # the trench ends 0.6 m from its middle, the stabilizers stay 0.6 m off it and may be turned away
                 # by 0.4 m; the greatest reach of the data sheet is 5.65 m
                 assert 0.8 < away < 5.65 + 0.6
+
+
+def _on_ramp(folder: Path, rise: float, *, known: float = -7.0) -> SiteMap:
+    """The map of a trench, 0.3 m deep at x 4.4 m, in ground that rises from x 2 m on and is known from an x on [m]."""
+    x, y = np.arange(known, 6.01, 0.25), np.arange(-4.0, 4.01, 0.25)
+    np.savetxt(folder / "ramp.csv", np.tile(rise * np.maximum(x - 2.0, 0.0), (len(y), 1)), delimiter=",")
+    ground = {"file": "ramp.csv", "low": [known, -4.0], "cell": 0.25}
+    content = _job(dump={"heap": {"at": [2.5, -3.0]}}).to_dict() | {"ground": ground}
+    return _map(job_from_dict(content, folder=folder))
+
+
+def test_a_trench_in_ground_that_rises_from_the_machine_is_within_reach(tmp_path: Path) -> None:
+    """The ground is 0.12 to 0.24 m higher at the trench, and as high as the machine where that stands."""
+    found = _on_ramp(tmp_path, 0.1)
+    best = max((spot for row in found.spots for spot in row if math.isfinite(spot.cost)), key=lambda spot: spot.share)
+    assert best.share == pytest.approx(1.0)
+    assert best.base.position[0] < 2.0
+
+
+def test_ground_that_is_not_known_is_told_from_ground_that_is_not_level(tmp_path: Path) -> None:
+    """Behind x 1.2 m the tractor, 5.2 m long, has its rear beyond the file; in front of x 2.5 m it is on the ramp."""
+    found = _on_ramp(tmp_path, 0.3, known=-4.0)
+    on_line = [(spot.base.position[0], spot.reason) for row in found.spots for spot in row if spot.reason != "line"]
+    assert "unknown" in {reason for x, reason in on_line if x < 1.0}
+    assert "ground" not in {reason for x, reason in on_line if x < 1.0}
+    assert "unknown" not in {reason for x, reason in on_line if x > 1.4}
+    assert "ground" in {reason for x, reason in on_line if 2.5 < x < 3.0}
 
 
 def test_a_symmetric_site_has_the_same_cost_from_both_sides(plain: SiteMap) -> None:

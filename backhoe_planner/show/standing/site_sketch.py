@@ -18,7 +18,8 @@ WHY = {  # why a machine cannot stand somewhere: a colour and words; places out 
     "dump": ("#cfe0ee", "no place to dump in reach"),
     "heap": ("#d9cdb8", "on the heap or the truck"),
     "obstacle": ("#cfc6dd", "an obstacle in the way"),
-    "ground": ("#d8d8cf", "not level there, or not known"),
+    "ground": ("#d8d8cf", "the ground is not level"),
+    "unknown": ("#eceae4", "the ground is not known"),
 }
 DIG, OBSTACLE, HEAP, MACHINE, GIVEN = "#8a6a4a", "#7d8894", "#b99b6b", "#1d2731", "#5d6b78"
 THINGS = "stands on the ground"  # the words for what a cloud shows
@@ -69,7 +70,7 @@ class Sketch:
     digs: outlines of what is dug, section by section.
     obstacles: names and outlines of the obstacles.
     things: outlines of what stands on the ground of a cloud.
-    heaps: outlines of the heaps at the end; for trucks, of their beds.
+    heaps: outlines of the heaps at the end, or, without a place, of the room for all soil; for trucks, of their beds.
     machines: machines at the places of the answer.
     given: machine at the place of the job file; None if that is the answer.
     low, high: (2,) corners of all that is drawn.
@@ -178,7 +179,7 @@ def _heaps(plan: StandPlan) -> tuple[Matrix, ...]:
         half = 0.5 * np.array(truck.bed.size[:2])
         corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         return (corners @ turn + np.array(truck.bed.position[:2]),)
-    return _laid(plan.places[-1].plan.end) if plan.places else ()
+    return _laid(plan.places[-1].plan.end) if plan.places else plan.dumps
 
 
 def _laid(ground: Terrain) -> tuple[Matrix, ...]:
@@ -198,10 +199,10 @@ def _laid(ground: Terrain) -> tuple[Matrix, ...]:
 
 def _obstacles(plan: StandPlan) -> tuple[tuple[str, Matrix], ...]:
     """Names and outlines of the obstacles that have an outline from above."""
-    if not plan.places:
+    if plan.robot is None:
         return ()
     found = []
-    for obstacle in build_obstacles(plan.job.site_scene, plan.places[0].plan.robot):
+    for obstacle in build_obstacles(plan.job.site_scene, plan.robot):
         outline = None if obstacle.zone is not None else _outline(obstacle)
         if outline is not None:
             found.append((obstacle.name, outline))
@@ -210,7 +211,7 @@ def _obstacles(plan: StandPlan) -> tuple[tuple[str, Matrix], ...]:
 
 def _things(plan: StandPlan) -> tuple[Matrix, ...]:
     """(4, 2) corners of rectangles [m] that together are the columns in which something stands on the ground."""
-    stands = plan.places[0].plan.start.off_ground if plan.places else None
+    stands = None if plan.ground is None else plan.ground.off_ground
     if stands is None:
         return ()
     flat = np.column_stack((stands.keys[:, :2] + 0.5, np.full(len(stands.keys), 0.5)))

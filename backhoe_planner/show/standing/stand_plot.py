@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _BODY = "#c9ced3"  # of the machine, below the costs
+_BELOW = -38.0  # points from the map down to the legend: the numbers and the name of the axis are between; chosen
 _LONGER, _LEAST = 9.0, 4.5  # inches along the longer side of the map, and at least along the other; chosen
 
 
@@ -65,6 +66,7 @@ def plot_stand(plan: StandPlan, path: str | os.PathLike[str]) -> None:
 
 def _draw(axes: Axes, sketch: Sketch) -> None:
     from matplotlib.patches import Patch, Polygon
+    from matplotlib.transforms import ScaledTranslation
 
     for cell in sketch.cells:
         finite = np.isfinite(cell.spot.cost)
@@ -94,7 +96,11 @@ def _draw(axes: Axes, sketch: Sketch) -> None:
         handles.append(Patch(facecolor=colour(sketch, sketch.range[0]), alpha=0.35, label="pale: reaches a part only"))
     if sketch.given is not None:
         handles.append(Patch(facecolor="none", edgecolor=GIVEN, linestyle="--", label="the given place"))
-    axes.legend(handles=handles, fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=3, frameon=False)
+    below = axes.transAxes + ScaledTranslation(0.0, _BELOW / 72.0, axes.figure.dpi_scale_trans)
+    axes.legend(
+        handles=handles, fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, 0.0), bbox_transform=below, ncols=3,
+        frameon=False,
+    )  # fmt: skip
 
 
 def _machine(axes: Axes, machine: Machine, shade: str, *, filled: bool) -> None:
