@@ -77,8 +77,8 @@ from .self_collision import self_pairs as self_pairs
 from .self_collision import self_pieces as self_pieces
 from .shape.convex import SPLIT_FORMATS as SPLIT_FORMATS
 from .shape.convex import convex_cover as convex_cover
+from .shape.convex import hull_if_nearly_convex as hull_if_nearly_convex
 from .shape.convex import is_closed as is_closed
-from .shape.convex import is_nearly_convex as is_nearly_convex
 from .shape.convex import load_mesh as load_mesh
 from .shape.convex import terrain_columns as terrain_columns
 from .shape.convex import voxel_boxes as voxel_boxes

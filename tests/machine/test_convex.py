@@ -20,8 +20,8 @@ from backhoe_planner.machine import (
     Cluster,
     MeshSolid,
     convex_cover,
+    hull_if_nearly_convex,
     is_closed,
-    is_nearly_convex,
     load_mesh,
     terrain_columns,
     voxel_boxes,
@@ -392,11 +392,11 @@ def test_a_huge_or_open_mesh_is_read_without_warnings(corner: str, tmp_path: Pat
     with np.errstate(all="raise"):
         mesh = load_mesh(path)
         if corner == "1 1 0":
-            assert not is_nearly_convex(mesh)
+            assert hull_if_nearly_convex(mesh) is None
             assert convex_cover(mesh)
         else:
             with pytest.raises(InputError, match="the mesh is too large"):
-                is_nearly_convex(mesh)
+                hull_if_nearly_convex(mesh)
 
 
 def torn(mesh: trimesh.Trimesh) -> trimesh.Trimesh:

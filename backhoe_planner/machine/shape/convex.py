@@ -205,15 +205,15 @@ def cover_with_surface(mesh: trimesh.Trimesh, *, pieces: int, excess: float) -> 
     return _grown_over_triangles(hulls, vertices[faces])
 
 
-def is_nearly_convex(mesh: trimesh.Trimesh, *, excess: float = _EXCESS) -> bool:
-    """Whether a mesh is flat, or its convex hull has at most `excess` times its volume.
+def hull_if_nearly_convex(mesh: trimesh.Trimesh, *, excess: float = _EXCESS) -> ConvexHull | None:
+    """The convex hull of a mesh that is flat, or whose hull has at most `excess` times its volume; otherwise None.
 
     Raises
     ------
     InputError: see `convex_cover`.
     """
     points, around, volume = _extent(mesh)
-    return is_flat(points) or bool(around.volume <= excess * volume)
+    return around if is_flat(points) or around.volume <= excess * volume else None
 
 
 def _extent(mesh: trimesh.Trimesh) -> tuple[Matrix, ConvexHull, float]:

@@ -160,7 +160,9 @@ def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
     return _piece(_polytope(points, triangles), placement, points, prism=True, make_inner=inner)
 
 
-def convex(points: Matrix, placement: pin.SE3, *, surface: Matrix | None = None) -> Piece:
+def convex(
+    points: Matrix, placement: pin.SE3, *, surface: Matrix | None = None, around: ConvexHull | None = None
+) -> Piece:
     """The convex hull of `points` (k, 3) [m] in the frame at `placement` T_body_hull; flat ones are thickened.
 
     If a corner has more neighbours than coal can count, such as the tip of a cone of 300 sides, the piece
@@ -170,13 +172,15 @@ def convex(points: Matrix, placement: pin.SE3, *, surface: Matrix | None = None)
     Parameters
     ----------
     surface: (m, 3, 3) triangles in that frame [m], if the hull is larger than what it contains; may be empty.
+    around: the hull of the points if it is known: of 160,000 points it takes 2 s.
     """
     points = np.asarray(points, dtype=float)
     centre = points.mean(axis=0)
     if np.linalg.norm(centre) > _FAR * np.max(np.ptp(points, axis=0)):
         points, placement = points - centre, placement * pin.SE3(np.eye(3), centre)
         surface = None if surface is None else surface - centre
-    exact = hull(points)
+        around = None
+    exact = hull(points) if around is None else around
     around = _countable(exact)
     if surface is None and around is not exact:
         surface = exact.points[exact.simplices]

@@ -25,8 +25,10 @@ _WAYS = np.array([way for way in np.ndindex(3, 3, 3) if way != (1, 1, 1)], dtype
 
 def most_neighbours(hull: ConvexHull) -> int:
     """The largest number of edges that meet in a corner of a triangulated `hull`."""
-    edges = np.unique(np.sort(hull.simplices[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    return int(np.bincount(edges.ravel()).max())
+    ends = np.sort(hull.simplices[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
+    # as one number for each edge, which is sorted in a tenth of the time
+    edges = np.unique(ends[:, 0] * len(hull.points) + ends[:, 1])
+    return int(np.bincount(np.concatenate(np.divmod(edges, len(hull.points)))).max())
 
 
 def enclosing_corners(hull: ConvexHull, excess: float) -> Matrix:

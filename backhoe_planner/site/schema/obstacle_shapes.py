@@ -23,8 +23,8 @@ from backhoe_planner.machine import (
     MeshSolid,
     TerrainSolid,
     VoxelSolid,
+    hull_if_nearly_convex,
     is_closed,
-    is_nearly_convex,
     load_mesh,
     mesh_cover,
     terrain_columns,
@@ -239,8 +239,11 @@ class Mesh(PlacedRecord):
         if any(self.velocity):
             return self.pieces(folder)
         mesh = self.loaded(folder)
-        if len(mesh.faces) <= _FEW_TRIANGLES or is_nearly_convex(mesh):
+        if len(mesh.faces) <= _FEW_TRIANGLES:
             return self.pieces(folder)
+        around = hull_if_nearly_convex(mesh)
+        if around is not None:
+            return [shapes.convex(around.points[around.vertices], self.placement, around=around)]
         return Cluster(MeshSolid(mesh, most=_MOST_TRIANGLES), self.placement)
 
     def is_open(self, folder: Path) -> bool:
@@ -251,7 +254,7 @@ class Mesh(PlacedRecord):
         InputError: the file cannot be read.
         """
         mesh = self.loaded(folder)
-        return not is_closed(mesh) and not is_nearly_convex(mesh)
+        return not is_closed(mesh) and hull_if_nearly_convex(mesh) is None
 
     def frame(self, folder: Path) -> tuple[Vector, Matrix]:
         """(3,) the factors along the axes of the file [m], and (3, 3) the rotation that turns it upright after that.
