@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import importlib
 import json
+import re
 import subprocess
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -123,6 +125,18 @@ def test_imports_within_a_room_run_one_way(floor: str) -> None:
         for other in imported(file):
             if other.startswith(f"backhoe_planner.{floor}."):
                 assert place(other) <= place(module_name(file)), f"{file} imports {other} from above"
+
+
+def test_the_docs_say_about_how_large_each_room_is() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    (sizes,) = re.findall(r"In thousands of lines of Python: ([^.]*)\.", text)
+    said = {room: 1_000 * int(size) for room, size in re.findall(r"(\w+) (\d+)", sizes)}
+    lines: Counter[str] = Counter()
+    for file in FILES:
+        if file.parent != PACKAGE:
+            lines[file.relative_to(PACKAGE).parts[0]] += len(file.read_text(encoding="utf-8").splitlines())
+    assert set(said) == set(lines)
+    assert not {room: lines[room] for room in said if abs(lines[room] - said[room]) > 1_000}
 
 
 def test_no_file_is_longer_than_600_lines() -> None:

@@ -1,7 +1,7 @@
 """The objectives that a plan can minimise: one class each, and the list of them all.
 
 A new objective is a new class here, an entry in `OBJECTIVES`, and a name in the scene file's
-schema (`Scene.objective`), which is below this package and cannot look it up.
+schema (`ObjectiveName`), which is below this package and cannot look it up.
 
 A step goes from joints q_a to q_b, dq = q_b - q_a, in the time dt. Torques tau and rod
 forces are those that hold the machine still against gravity, payload and soil, the mean
@@ -191,9 +191,13 @@ class Objective(ABC, Generic[Parts]):
     def rate(self, v: Array, energy: MotionEnergy) -> Array:
         """(T,) cost rate at each moment, in `unit` per second, by full inverse dynamics.
 
+        A rate depends on its own moment alone: the moments may be any, also none, and are not a motion's samples in
+        their order.
+
         Parameters
         ----------
         v: (T, n) velocities of the joints there [rad/s or m/s].
+        energy: torques and powers there; its time, work and hydraulic energy say nothing here.
         """
 
     def duration(self, dt: Array, a: Parts, b: Parts, machine: LoadedMachine) -> Array:
