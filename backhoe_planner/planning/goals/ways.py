@@ -93,14 +93,13 @@ class Ways:
         """Whether any motions are left to be checked."""
         return self._sampling.motions > 0
 
-    def sample(self, which: Sequence[int], turn: int, *, again: int = 0, longest: float = np.inf) -> FoundMotion | None:
+    def sample(self, which: Sequence[int], turn: int, *, again: int = 0) -> FoundMotion | None:
         """The motion along a sampled and shortened route to one of the postures `which`; None if none is found.
 
         Parameters
         ----------
         turn: how many routes were sampled before.
         again: factor on the motions that are checked if another route is known; 0 for as many as for the first.
-        longest: configurations are left out if every motion through them takes longer [s].
         """
         work, goals = self._world.work, list(self._ends.at(which))
         check = self._check(goals, _SPARES[turn % len(_SPARES)])
@@ -112,7 +111,7 @@ class Ways:
         path = None
         try:
             path = sample_path(
-                check, self._start, goals, seed=seed, work=self._sampling, most_motions=most, longest=longest,
+                check, self._start, goals, seed=seed, work=self._sampling, most_motions=most,
                 straight=self._line is None, keep=self._problem.keep,
             )  # fmt: skip
         finally:  # also if time runs out
