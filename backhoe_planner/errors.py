@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 _Kind = TypeVar("_Kind")
+_Called = TypeVar("_Called")
 _LONG = 200  # characters; chosen
 # part of the letters that two names must share, in order, for one to be suggested for the other; chosen: one wrong
 # letter in four is accepted, a common ending with another word is not
@@ -173,6 +174,18 @@ def check_flag(value: Any, *, key: str) -> bool:
     if type(value).__name__ in ("bool", "bool_"):  # numpy's too, without importing it here
         return bool(value)
     raise InputError("is neither true nor false", key=key, found=reprlib.repr(value), allowed="True, False")
+
+
+def check_callable(value: _Called, *, key: str) -> _Called:
+    """`value`, which must be callable, or None.
+
+    Raises
+    ------
+    InputError: it is something else; the message names it by `key`.
+    """
+    if value is None or callable(value):
+        return value
+    raise InputError("cannot be called", key=key, found=reprlib.repr(value))
 
 
 def check_path(value: Any, *, key: str) -> Path:

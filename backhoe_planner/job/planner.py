@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import reprlib
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import as_count
-from backhoe_planner.errors import InputError, SceneError, check_kind
+from backhoe_planner.errors import InputError, SceneError, check_callable, check_kind
 from backhoe_planner.job.checked_job import check_whole_job
 from backhoe_planner.job.cuts.cut import NoCut
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
@@ -22,7 +21,7 @@ from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstim
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.undug import find_undug
 from backhoe_planner.job.worksite.worksite import Worksite, build_worksite
-from backhoe_planner.planning import EFFORTS
+from backhoe_planner.planning import check_effort
 
 DEFAULT_EFFORT = "quick"  # chosen: each of the jobs in scenes/jobs is planned within a minute
 _MOST_CYCLES = 5000  # of a job; chosen, it only ends what would not end
@@ -84,10 +83,7 @@ def plan_job(
     """
     check_kind(job, Job, key="job")
     seed = as_count(seed, key="seed")
-    if not isinstance(effort, str) or effort not in EFFORTS:
-        raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
-    if watch is not None and not callable(watch):
-        raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
+    effort, watch = check_effort(effort), check_callable(watch, key="watch")
     if terrain is not None:
         check_kind(terrain, Terrain, key="terrain")
     if resume is not None:

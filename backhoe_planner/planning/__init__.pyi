@@ -55,6 +55,7 @@ from .search.effort import Effort as Effort
 from .search.effort import EffortName as EffortName
 from .search.effort import OutOfTime as OutOfTime
 from .search.effort import Work as Work
+from .search.effort import check_effort as check_effort
 from .search.motion_check import MotionCheck as MotionCheck
 from .search.motion_check import places as places
 from .search.postures import find_distinct as find_distinct

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import reprlib
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from backhoe_planner.arrays import as_count
-from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.errors import InputError, check_callable, check_kind
 from backhoe_planner.job import Job, build_worksite
-from backhoe_planner.planning import EFFORTS
+from backhoe_planner.planning import check_effort
 from backhoe_planner.standing.dig_area import dig_area
 from backhoe_planner.standing.moved_job import job_with
 from backhoe_planner.standing.one_place import best_spots, rank
@@ -68,10 +67,7 @@ def stand(
     check_kind(job, Job, key="job")
     count = as_count(count, key="count", least=1)
     seed = as_count(seed, key="seed")
-    if not isinstance(effort, str) or effort not in EFFORTS:
-        raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
-    if watch is not None and not callable(watch):
-        raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
+    effort, watch = check_effort(effort), check_callable(watch, key="watch")
 
     def told(what: str, done: int, total: int) -> None:
         if watch is not None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
-import reprlib
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from backhoe_planner.errors import InputError, OutputError, check_flag, check_kind, check_path
+from backhoe_planner.errors import OutputError, check_callable, check_flag, check_kind, check_path
 from backhoe_planner.files.extras import need_package
 from backhoe_planner.files.output_file import whole_file
 from backhoe_planner.files.provenance import relative_path
@@ -129,8 +128,7 @@ def run_study(
         need_package(package, extra="studies", what="studies")
     processes = process_count(jobs)
     anew = check_flag(anew, key="anew")
-    if watch is not None and not callable(watch):
-        raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
+    watch = check_callable(watch, key="watch")
     template, inputs = build_template(study)
     told = watch or (lambda _: None)
     shared = digest_of(template, inputs)

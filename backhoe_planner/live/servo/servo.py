@@ -22,14 +22,13 @@ Within the slow distance of one of the scene's zones the wish is scaled down; it
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Vector, as_number
-from backhoe_planner.errors import InputError, check_flag, check_kind
+from backhoe_planner.errors import InputError, check_callable, check_flag, check_kind
 from backhoe_planner.live.braking.braking_path import STEP_END, JointState, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
 from backhoe_planner.live.braking.kept_rows import KeptRows
@@ -120,8 +119,7 @@ class Servo:
         self_collision = check_flag(self_collision, key="self_collision")
         if feedback is not None:
             check_kind(feedback, Feedback, key="feedback")
-        if load is not None and not callable(load):
-            raise InputError("cannot be called", key="load", found=reprlib.repr(load))
+        load = check_callable(load, key="load")
         robot = machine_on_site(robot, scene)
         self.robot, self.scene, self.dt, self.circulate = robot, scene, dt, circulate
         self.limits = scaled_limits(robot, scene)

@@ -13,6 +13,8 @@ from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
+from backhoe_planner.errors import InputError
+
 EffortName = Literal["quick", "normal", "thorough"]
 
 # s: several times what plans take on one core, so that plans end by their counts
@@ -168,6 +170,19 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
 
 class OutOfTime(Exception):  # noqa: N818 - an outcome inside the planner, not an error
     """The budget of computing time is used up; see `Brake`."""
+
+
+def check_effort(effort: str) -> EffortName:
+    """The name of an effort.
+
+    Raises
+    ------
+    InputError: there is none of that name.
+    """
+    found = next((known for known in EFFORTS if known == effort), None)
+    if found is None:
+        raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
+    return found
 
 
 class Brake:

@@ -5,13 +5,12 @@ The result is always a `Plan`: a failure in normal use is a reason with its numb
 
 from __future__ import annotations
 
-import reprlib
 import time as clock
 from collections.abc import Sequence
 from typing import Any
 
 from backhoe_planner.arrays import as_count, as_number
-from backhoe_planner.errors import InputError
+from backhoe_planner.errors import InputError, check_callable
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, build_problem
 from backhoe_planner.planning.planner import plan_motion
@@ -20,7 +19,7 @@ from backhoe_planner.planning.result.findings import NOTHING, Findings
 from backhoe_planner.planning.result.metrics import measure_motion
 from backhoe_planner.planning.result.plan import METHODS, Plan, PlannedLeg, planned_legs
 from backhoe_planner.planning.result.plan_file import Method
-from backhoe_planner.planning.search.effort import DEFAULT_BUDGETS, EFFORTS, Brake, EffortName
+from backhoe_planner.planning.search.effort import DEFAULT_BUDGETS, EFFORTS, Brake, EffortName, check_effort
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Scene
 
@@ -68,11 +67,7 @@ def plan(
     seed = as_count(seed, key="seed")
     if seed > _LARGEST_SEED:
         raise InputError("is too large", key="seed", found=seed, allowed=f"0 to {_LARGEST_SEED}")
-    if watch is not None and not callable(watch):
-        raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
-    asked = next((known for known in EFFORTS if known == effort), None)
-    if asked is None:
-        raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
+    watch, asked = check_callable(watch, key="watch"), check_effort(effort)
     longest = DEFAULT_BUDGETS[asked] if budget is None else as_number(budget, key="budget", above=0.0)
     begun = clock.monotonic()
     brake = Brake(longest)
