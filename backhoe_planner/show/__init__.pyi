@@ -3,6 +3,7 @@ from .drawing.drawing import Track as Track
 from .drawing.drawing import node_name as node_name
 from .drawing.drawing import node_names as node_names
 from .drawing.framing import FIELD_OF_VIEW as FIELD_OF_VIEW
+from .drawing.framing import blocks as blocks
 from .drawing.framing import frame as frame
 from .drawing.framing import hills as hills
 from .drawing.framing import part_behind as part_behind

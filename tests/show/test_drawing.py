@@ -26,6 +26,7 @@ from backhoe_planner.show import (
     PlanAnimation,
     SceneGraph,
     Track,
+    blocks,
     facets,
     fattened,
     frame,
@@ -290,6 +291,32 @@ def test_the_camera_is_on_the_open_side_of_a_bank(backhoe: Robot, tmp_path: Path
     scene = scene_from_dict({**content, "obstacles": [bank]}, folder=tmp_path)
     eye = SceneGraph(Display().visualizer(), build_problem(backhoe, scene)).view().eye()
     assert eye[0] < 5.0
+
+
+def test_a_camera_does_not_look_through_a_house_of_a_scan_around_the_machine(backhoe: Robot, tmp_path: Path) -> None:
+    """A house of 6 m along the machine's left or right side, in a scan with the street on both sides."""
+    street = np.column_stack((*(axis.ravel() for axis in np.mgrid[-9:10:0.2, -9:9.1:0.2]), np.full(95 * 91, -0.3)))
+    x, y, z = (axis.ravel() for axis in np.mgrid[-9:10:0.2, 5:9.1:0.2, -0.3:6.0:0.2])
+    house = np.column_stack((x, y, z))[(np.abs(y - 7.0) > 1.9) | (z > 5.8)]
+    for side in (1.0, -1.0):
+        np.savetxt(tmp_path / "scan.csv", np.vstack((street, house * [1.0, side, 1.0])), delimiter=",", fmt="%.2f")
+        scan = {"name": "scan", "shape": "pointcloud", "file": "scan.csv", "resolution": 0.25}
+        content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}}
+        scene = scene_from_dict({**content, "obstacles": [scan]}, folder=tmp_path)
+        eye = SceneGraph(Display().visualizer(), build_problem(backhoe, scene)).view().eye()
+        assert eye[1] * side < 5.0
+
+
+def test_the_blocks_of_a_scan_are_its_high_parts_with_what_is_below_free() -> None:
+    """A line along y, 5 m above the ground, over 40 m: in boxes of 1 m."""
+    line = np.column_stack((np.full(81, 0.5), np.linspace(0.0, 40.0, 81), np.full(81, 5.5)))
+    ground = line * [1.0, 1.0, 0.0]
+    boxes = blocks(np.vstack((ground, line)), above=0.5)
+    assert boxes.shape == (41, 2, 3)
+    np.testing.assert_allclose(boxes[:, :, 2], np.tile([5.0, 6.0], (41, 1)))
+    np.testing.assert_allclose(boxes[:, :, 0], np.tile([0.0, 1.0], (41, 1)))
+    below = np.array([[2.0, 20.0, 1.0]])
+    assert part_behind(boxes, below, np.array([-5.0, 20.0, 1.0])) == 0.0
 
 
 def row_of_balls(count: int, **keys: Any) -> list[dict[str, Any]]:

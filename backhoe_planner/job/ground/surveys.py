@@ -39,6 +39,9 @@ from backhoe_planner.job.ground.raised import NOT_RAISED, raised_beyond
 from backhoe_planner.job.schema.work import ROUGHNESS
 from backhoe_planner.site import is_cloud, read_height_grid, read_points
 
+_SPARSE = 0.02  # part of the columns amid seen ground without a point from which a cloud is too sparse for its columns
+# chosen: then an overhead line of 10 m has a wall of four columns below it
+
 
 @dataclass(frozen=True, eq=False)
 class Survey:
@@ -140,16 +143,40 @@ def split(
     lowest = np.where(lowest < ground - roughness, ground, lowest)
     heights = replace(heights, z=np.where(under, lowest, heights.z))
     hidden = under & np.isnan(heights.z)
+    missed = _missed(heights.z, under)
     there = filled_at(heights, hidden).z if known is None else known
     heights = replace(heights, z=np.where(hidden, there, heights.z))
     stands = voxels_of(np.vstack((points[off], below(points[off], heights, hidden))), grid.cell)
-    remark = "; ".join(one for one in (describe(points[off], heights, stands), raised.remark) if one)
+    remark = "; ".join(one for one in (describe(points[off], heights, stands), missed, raised.remark) if one)
     return Survey(heights, join_voxels(stands, raised.voxels), remark, beyond)
 
 
 def _columns_with(points: Matrix, grid: HeightGrid) -> Flags:
     """(rows, columns) of a grid in which there is one of the points (n, 3) [m]."""
     return np.isin(np.arange(grid.z.size), columns_of(points, grid)[1]).reshape(grid.z.shape)
+
+
+def _missed(z: Matrix, under: Flags) -> str:
+    """In words, that the ground below what stands may only have been missed by a sparse cloud; empty if not.
+
+    Parameters
+    ----------
+    z: (rows, columns) heights of the seen ground [m]; NaN where there is none.
+    under: (rows, columns) where something stands or hangs.
+    """
+    from scipy.ndimage import uniform_filter
+
+    seen = np.isfinite(z)
+    amid = ~seen & (uniform_filter(seen.astype(float), size=3, mode="nearest") > 0.5)
+    free = np.count_nonzero(~under & (amid | seen))
+    part, count = np.count_nonzero(amid & ~under) / max(free, 1), np.count_nonzero(amid & under)
+    if not count or part < _SPARSE:
+        return ""
+    return (
+        f"on {count} of these columns it counts as solid down to the ground, as no point of the ground was seen there, "
+        f"though around it; {100.0 * part:.0f} % of the columns where nothing stands have none either: with a larger "
+        "ground.cell fewer are missed"
+    )
 
 
 def _further(wide: HeightGrid, grid: HeightGrid) -> HeightGrid | None:

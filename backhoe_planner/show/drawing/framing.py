@@ -113,6 +113,18 @@ def hills(vertices: Matrix, *, above: float) -> Array:
     return boxes
 
 
+def blocks(vertices: Matrix, *, above: float) -> Array:
+    """(B, 2, 3) boxes in place of the parts of a scan that are higher than `above` [m], world, with what is below free.
+
+    Parameters
+    ----------
+    vertices: (k, 3) points of its surface [m], with few gaps between them.
+    """
+    step = max(float(np.ptp(vertices[:, :2], axis=0).max()) / _HILLS_ACROSS, _CLOSEST)
+    corners = step * np.unique(np.floor(vertices[vertices[:, 2] > above] / step), axis=0)
+    return np.stack((corners, corners + step), axis=1)
+
+
 def part_behind(boxes: Array, points: Matrix, eye: Vector) -> float:
     """The part of `points` (k, 3) [m], 0 to 1, that at least one of `boxes` (B, 2, 3) hides from a camera at (3,).
 

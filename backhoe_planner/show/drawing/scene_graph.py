@@ -37,7 +37,7 @@ from backhoe_planner.show.drawing.drawing import (
     set_property,
     set_stage,
 )
-from backhoe_planner.show.drawing.framing import View, frame, hills, part_behind
+from backhoe_planner.show.drawing.framing import View, blocks, frame, hills, part_behind
 from backhoe_planner.show.drawing.ground import draw_ground, opening_of
 from backhoe_planner.show.drawing.kept_axes import kept_axes
 from backhoe_planner.show.drawing.loads import load_meshes
@@ -315,7 +315,12 @@ class SceneGraph:
         for obstacle, drawn in zip(self._drawn, self._site, strict=True):
             if drawn.bounds is None or drawn.rgba[3] < 1.0:
                 continue
-            boxes.append(hills(drawn.facets.vertices, above=above) if is_ground(obstacle) else drawn.bounds[None])
+            if is_ground(obstacle):
+                boxes.append(hills(drawn.facets.vertices, above=above))
+            elif obstacle.spec.shape == "pointcloud":  # it may be all around the machine
+                boxes.append(blocks(drawn.facets.vertices, above=above))
+            else:
+                boxes.append(drawn.bounds[None])
         return np.concatenate([np.zeros((0, 2, 3)), *boxes])
 
     def look(self, points: Matrix) -> View:

@@ -358,3 +358,21 @@ def test_a_warning_says_how_high_the_ground_under_the_machine_is(tmp_path: Path)
         found = ground_warnings(job_from_dict(content | {"ground": ground}, folder=tmp_path))
         assert len(found) == len(words)
         assert all(one in said for one, said in zip(words, found, strict=True))
+
+
+def test_a_warning_tells_below_what_a_sparse_cloud_may_only_have_missed_the_ground(tmp_path: Path) -> None:
+    """A line 3 m above the ground. Every fourth column along x has no ground point, or no more than those of a wall.
+
+    Of 61 x 41 columns 15 x 41 are empty, 15 of them below the line, and its own row is left out of the others.
+    """
+    line = at(grid((0.0, 0.0), (6.0, 0.0), CELL), 3.0)
+    is_empty = np.round(LEVEL[:, 0] / CELL).astype(int) % 4 == 2
+    for ground, told in ((LEVEL[~is_empty], True), (LEVEL, False)):
+        np.savetxt(tmp_path / "line.xyz", np.vstack((ground, line)), fmt="%.4f")
+        content = small_job().to_dict() | {
+            "ground": {"file": "line.xyz", "low": list(LOW), "high": list(HIGH), "cell": CELL}
+        }
+        (found,) = ground_warnings(job_from_dict(content, folder=tmp_path))
+        words = "on 15 of these columns it counts as solid down to the ground"
+        assert (words in found) == told
+        assert ("25 % of the columns where nothing stands have none either" in found) == told
