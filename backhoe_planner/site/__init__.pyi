@@ -67,6 +67,7 @@ from .soil import blade_force as blade_force
 from .soil import bucket_width as bucket_width
 from .soil import failure_angle as failure_angle
 from .soil import soil_force as soil_force
+from .surveys.geotiff import HeightTable as HeightTable
 from .surveys.survey_files import is_cloud as is_cloud
 from .surveys.survey_files import read_height_grid as read_height_grid
 from .surveys.survey_files import read_heights as read_heights

@@ -55,7 +55,8 @@ def scanned(
     low: (2,) x, y of the file's first height [m]; required for a CSV.
     cell: distance between the file's heights [m]; required for a CSV.
     fill: holes are filled from their rims up to this distance from a known column [m]; none by default.
-    map_origin, roughness: of points, as in `Terrain.from_file`.
+    map_origin: of points and of a GeoTIFF, as in `Terrain.from_file`. Without it a GeoTIFF is at `low`.
+    roughness: of points.
     noise: the ground is unchanged where the scan is this close to the known surface [m].
 
     Raises

@@ -37,7 +37,7 @@ from backhoe_planner.job.ground.off_ground import (
 )
 from backhoe_planner.job.ground.raised import NOT_RAISED, raised_beyond
 from backhoe_planner.job.schema.work import ROUGHNESS
-from backhoe_planner.site import is_cloud, read_height_grid, read_points
+from backhoe_planner.site import HeightTable, is_cloud, read_height_grid, read_points
 
 _SPARSE = 0.02  # part of the columns amid seen ground without a point from which a cloud is too sparse for its columns
 # chosen: then an overhead line of 10 m has a wall of four columns below it
@@ -197,7 +197,8 @@ def survey_on(
     Parameters
     ----------
     low, cell: position and spacing of the heights, as in `Terrain.from_file`; points and a GeoTIFF need neither.
-    map_origin, roughness: of points, as in `Terrain.from_file`.
+    map_origin: of points and of a GeoTIFF, as in `Terrain.from_file`. Without it a GeoTIFF is at `low`.
+    roughness: of points.
     around: the known ground beyond the grid; what is higher there by more than `roughness` is an obstacle.
 
     Raises
@@ -207,7 +208,9 @@ def survey_on(
     rough = as_number(roughness, key="roughness", least=0.0)
     if is_cloud(file):
         return split(read_points(file, map_origin=_origin(map_origin)), onto, rough, onto.z, around)
-    grid = _read_table(file, low, cell, None, moved=True)
+    table = read_height_grid(file)
+    origin = None if table.low is None else map_origin
+    grid = _placed(table, file, low, cell, origin, moved=origin is None)
     wide, part = widened(onto, grid.low, grid.high, BEYOND)
     found = resampled(grid, wide)
     raised = raised_beyond(found, part, onto.z, around, rough)
@@ -224,7 +227,14 @@ def _read_table(
     *, moved: bool,
 ) -> HeightGrid:  # fmt: skip
     """The heights in a file; `moved` puts their first height at `low`, whatever position the file gives."""
-    table = read_height_grid(file)
+    return _placed(read_height_grid(file), file, low, cell, map_origin, moved=moved)
+
+
+def _placed(
+    table: HeightTable, file: Path, low: Sequence[float] | Vector | None, cell: float | None,
+    map_origin: Sequence[float] | Vector | None, *, moved: bool,
+) -> HeightGrid:  # fmt: skip
+    """The heights of a file where they belong on the site; see `_read_table`."""
     if map_origin is not None:
         x, y, z = _origin(map_origin)
         if table.low is None:

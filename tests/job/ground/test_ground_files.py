@@ -18,6 +18,7 @@ from backhoe_planner.job import (
     Terrain,
     build_worksite,
     deposited,
+    job_from_dict,
     read_ground,
     scanned,
     swept,
@@ -345,6 +346,34 @@ def test_a_point_cloud_taken_during_a_job_becomes_its_ground(tmp_path: Path) -> 
     np.savetxt(tmp_path / "scan.xyz", seen[np.hypot(seen[:, 0] - 3.8, seen[:, 1]) > 0.12], fmt="%.6f")
     with pytest.raises(InputError, match=r"does not cover what is dug.*ground\.fill"):
         read_ground(job, tmp_path / "scan.xyz")
+
+
+def test_a_geotiff_taken_during_a_job_in_map_coordinates_is_where_it_says(tmp_path: Path) -> None:
+    """The ground of the job, and that with a trench of 1.2 x 0.6 m, 0.1 m deep, in a larger file, cells of 0.1 m."""
+    places = nodes((-1.0, -6.0), (90, 80), 0.1)
+    heights, corner = np.zeros(places.shape[:2]), (MAP[0] - 1.05, MAP[1] + 2.95)
+    write_geotiff(tmp_path / "before.tif", heights + MAP[2], corner=corner, cell=0.1)
+    job = small_job()
+    ground = {"file": "before.tif", "map_origin": list(MAP), "low": [0.5, -4.5], "high": [6.0, 1.5], "cell": 0.1}
+    job = job_from_dict(job.to_dict() | {"ground": ground}, folder=tmp_path)
+    found = read_ground(job, tmp_path / "before.tif")
+    np.testing.assert_allclose(found.terrain.surface, 0.0, atol=1e-4)
+    assert found.remark == ""
+    x, y = places[..., 0], places[..., 1]
+    dug = np.where((np.abs(x - 3.8) < 0.61) & (np.abs(y) < 0.31), -0.1, 0.0)
+    after = write_geotiff(tmp_path / "after.tif", dug + MAP[2], corner=corner, cell=0.1)
+    found = read_ground(job, after)
+    own = build_worksite(job).ground
+    assert not found.unknown.any()
+    assert found.terrain.bank_volume_below(own) == pytest.approx(-dug.sum() * 0.01, rel=1e-3)
+    column = np.unravel_index(int(np.argmin(found.terrain.surface)), own.shape)
+    assert abs(own.x[column[1]] - 3.8) < 0.61
+    assert abs(own.y[column[0]]) < 0.31
+    # heights without a place are still those of the job's own columns
+    np.savetxt(tmp_path / "after.csv", found.terrain.surface, delimiter=",")
+    np.testing.assert_allclose(
+        read_ground(job, tmp_path / "after.csv").terrain.surface, found.terrain.surface, atol=1e-9
+    )
 
 
 def test_soil_for_which_the_bucket_has_no_room_is_spilt() -> None:
