@@ -220,6 +220,8 @@ class Servo:
     def add_points(self, name: str, points: object, *, resolution: float = 0.1, clearance: float | None = None) -> None:
         """Add a scan: every voxel that contains a point is solid. A scan of the same name is replaced.
 
+        The new one stands still until `set_velocity` is called again. Without points there is none.
+
         Parameters
         ----------
         name: of the obstacle.

@@ -142,6 +142,8 @@ class Surroundings:
             cloud = np.array(points, dtype=float)
         except (TypeError, ValueError) as error:
             raise InputError("are not points", key=f"points of {name}") from error
+        if cloud.shape == (0,):  # an empty list
+            return None
         if cloud.ndim != 2 or cloud.shape[1] != 3:
             raise InputError("are not points", key=f"points of {name}", found=f"shape {cloud.shape}", allowed="(k, 3)")
         wrong = np.argwhere(~(np.abs(cloud) <= _FARTHEST)).tolist()
