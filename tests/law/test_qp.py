@@ -26,7 +26,9 @@ from backhoe_planner.law import (
     solve_program,
     solve_with_binding_rows,
     solve_with_near_rows,
+    unit_metric,
 )
+from backhoe_planner.law.qp import solve_from
 
 WIDE = np.full(2, 10.0)
 
@@ -293,6 +295,29 @@ def test_many_coupled_variables_have_the_same_solution_in_the_metric_of_their_co
     np.testing.assert_allclose(near, plain.x, atol=1e-6)
     both = Rows("both sides", np.vstack((G[:1], -G[:1])), np.array([-9.0, -9.0]), Kind.HARD)
     assert solve_in_unit_metric(program._replace(rows=(both,)), coupled, most_iterations=1000) is None
+
+
+@pytest.mark.parametrize(("alone", "is_used"), [(100, True), (149, True), (200, False)])
+def test_a_start_at_which_very_many_conditions_bind_is_not_used(
+    monkeypatch: pytest.MonkeyPatch, alone: int, is_used: bool
+) -> None:
+    """x^2/2 + x of many variables from 0 to 1 is least at their lower bounds, and a coupled one is at its upper one."""
+    n = 1 + alone
+    low, high = np.append(-1.0, np.zeros(alone)), np.ones(n)
+    program = QuadraticProgram(np.eye(n), np.append(-3.0, np.ones(alone)), low, high, ())
+    least = np.append(1.0, np.zeros(alone))
+    used: list[bool] = []
+
+    def note(start: Any, *about: Any, **how: Any) -> Any:
+        used.append(start is not None)
+        return solve_from(start, *about, **how)
+
+    monkeypatch.setattr(unit_metric, "solve_from", note)
+    for start in (least, None):
+        found = solve_in_unit_metric(program, 1, most_iterations=1000, start=start)
+        assert found is not None
+        np.testing.assert_allclose(found, least, atol=1e-9)
+    assert used == [is_used, False]
 
 
 @pytest.mark.parametrize("H", [np.diag([1.0, -1.0, 1.0]), np.diag([1.0, 1.0, 0.0])], ids=["coupled", "alone"])
