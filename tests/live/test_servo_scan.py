@@ -396,7 +396,7 @@ def test_new_boxes_that_prove_less_of_the_path_give_way_to_the_previous_ones(
             put_back += 1
             boxes = [separation._body[pair] for pair in one.pairs.tolist()[: one.boxes]]
             assert None not in boxes
-            assert all(separation._stands_of[one.number].count(body) == 1 for body in boxes if body is not None)
+            assert all(separation._bodies_of[one.number].count(body) == 1 for body in boxes if body is not None)
     assert put_back >= 2
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.live.boxes.stand import Stand
+from backhoe_planner.live.boxes.placed_piece import PlacedPiece
 from backhoe_planner.machine import Around, Cluster, Part, Piece
 
 SLOTS = 16  # pairs of a link with a cluster; chosen: the ground, a wall and some clutter take 3 to 10
@@ -39,7 +39,7 @@ class KeptBoxes(NamedTuple):
     """
 
     fields: dict[str, object]
-    bodies: list[Stand | None]
+    bodies: list[PlacedPiece | None]
     known: list[Array]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.live.boxes.box_places import BoxPlaces, put_planes
 from backhoe_planner.live.boxes.cluster_pairs import SLOTS, BoxSearch, ClusterPairs, KeptBoxes
-from backhoe_planner.live.boxes.stand import Stand
+from backhoe_planner.live.boxes.placed_piece import PlacedPiece
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.live.braking.gaps import (
     Gaps,
@@ -133,8 +133,8 @@ class Separation:
         for row, load in self._own.load_of_rows().items():
             self._load_of_piece[row] = load
         self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
-        self._body: list[Stand | None] = [None] * len(pairs)
-        self._stands_of: dict[int, list[Stand]] = {}
+        self._body: list[PlacedPiece | None] = [None] * len(pairs)
+        self._bodies_of: dict[int, list[PlacedPiece]] = {}
         self.planes = _no_planes(len(pairs))
         self.velocity = np.zeros((len(pairs), 3))
         self.drift = np.zeros(len(pairs))
@@ -168,10 +168,10 @@ class Separation:
             clearance.append(obstacle.clearance + self._room_of_piece[pieces])
             piece.append(pieces)
             velocity.append(np.repeat(obstacle.velocity[None], count, axis=0))
-            self._stands_of[number] = [Stand(piece) for piece in obstacle.pieces]
-            for stand in self._stands_of[number]:
-                self._body.extend([stand] * len(links))
-                faces.extend([shapes.faces_of(stand.piece)] * len(links))
+            self._bodies_of[number] = [PlacedPiece(piece) for piece in obstacle.pieces]
+            for body in self._bodies_of[number]:
+                self._body.extend([body] * len(links))
+                faces.extend([shapes.faces_of(body.piece)] * len(links))
             if obstacle.cluster is not None:
                 self._body.extend([None] * count)
                 faces.extend([_NO_FACES] * count)
@@ -197,7 +197,7 @@ class Separation:
             "_points", "_faces",
         ):  # fmt: skip
             setattr(self, name, getattr(self, name)[kept])
-        del self._stands_of[number]
+        del self._bodies_of[number]
         self._shifts.pop(number, None)
         self._body = [body for body, keep in zip(self._body, kept.tolist(), strict=True) if keep]
         self.clusters = [one for one in self.clusters if one.number != number]
@@ -235,8 +235,8 @@ class Separation:
 
         The array is kept and not copied: a measurement uses its content at that time.
         """
-        for stand in self._stands_of[number]:
-            stand.shift = shift
+        for body in self._bodies_of[number]:
+            body.shift = shift
         self._shifts[number] = shift
 
     def _add_cluster(self, number: int, obstacle: Obstacle, cluster: Cluster, links: Sequence[int]) -> None:
@@ -291,18 +291,18 @@ class Separation:
             numbers, one.pairs, float(self._fat[one.piece]), self.velocity, shift, one.found_at, FAR,
             self.planes, self.drift, self._points, self._faces, one.witnesses,
         )  # fmt: skip
-        self._put_bodies(one, [Stand(part, shift) for part in parts])
+        self._put_bodies(one, [PlacedPiece(part, shift) for part in parts])
         return distance
 
-    def _put_bodies(self, one: ClusterPairs, bodies: Sequence[Stand | None]) -> None:
+    def _put_bodies(self, one: ClusterPairs, bodies: Sequence[PlacedPiece | None]) -> None:
         """Let these bodies belong to the first pairs of a link, and none to its other pairs."""
-        stands = self._stands_of[one.number]
+        known = self._bodies_of[one.number]
         for pair, body in zip_longest(one.pairs.tolist(), bodies):
             if (before := self._body[pair]) is not None:
-                stands.remove(before)
+                known.remove(before)
             self._body[pair] = body
             if body is not None:
-                stands.append(body)
+                known.append(body)
         self.places.note(one)
 
     @property
@@ -340,29 +340,29 @@ class Separation:
         """Measure a pair at one configuration."""
         self.measured += 1
         piece, other, second = int(self.piece[pair]), int(self.other[pair]), int(self.other_piece[pair])
-        T, stand, shift = at.T[sample], self._body[pair], _NO_SHIFT
+        T, body, shift = at.T[sample], self._body[pair], _NO_SHIFT
         if second >= 0:
             corners, fat = self._corners4[second], float(self._fat[second])
-        elif stand is None:  # a pair of a cluster without a box
+        elif body is None:  # a pair of a cluster without a box
             return Measured(FAR, np.zeros(3), FAR, np.zeros(3))
         else:
-            corners, fat, shift = stand.piece.hull, stand.piece.radius, stand.shift
+            corners, fat, shift = body.piece.hull, body.piece.radius, body.shift
         own = T[self.joint[pair]]
         found = hulls_apart(self._corners4[piece], float(self._fat[piece]), own, corners, fat, shift, T[other])
-        return self._measure_by_coal(piece, own, second, stand, T[other]) if found is None else Measured(*found)
+        return self._measure_by_coal(piece, own, second, body, T[other]) if found is None else Measured(*found)
 
     def _measure_by_coal(
-        self, piece: int, T_own: Matrix, second: int, stand: Stand | None, T_other: Matrix
+        self, piece: int, T_own: Matrix, second: int, body: PlacedPiece | None, T_other: Matrix
     ) -> Measured:
-        """Measure a piece of a body at T_own against the piece `second` of a body at T_other, or against `stand`."""
+        """Measure a piece of a body at T_own against the piece `second` of a body at T_other, or against `body`."""
         shape, own = self._own_shapes[piece]
         here = T_own.dot(own)
-        if stand is None:
+        if body is None:
             other_shape, own = self._own_shapes[second]
-            placed = T_other.dot(own)
-            there = shapes.transform(placed[:3, :3], placed[:3, 3])
+            other = T_other.dot(own)
+            there = shapes.transform(other[:3, :3], other[:3, 3])
         else:
-            other_shape, there = stand.piece.shape, stand.place()
+            other_shape, there = body.piece.shape, body.place()
         distance, n, x, z = self._gauge.measure(shape, shapes.transform(here[:3, :3], here[:3, 3]), other_shape, there)
         n, z = n.dot(T_other[:3, :3]), (z - T_other[:3, 3]).dot(T_other[:3, :3])
         return Measured(distance, n, float(n.dot(z)), x)
@@ -385,10 +385,10 @@ class Separation:
         and at most that of the link's point from a box or a half-space. False if these do not prove it, or if the
         obstacle moves.
         """
-        stand = self._body[pair]
+        body = self._body[pair]
         apart = known_apart(
             pair, self.joint, self.other, self.velocity, self._points, self._faces,
-            _NO_SHIFT if stand is None else stand.shift, at.T[sample],
+            _NO_SHIFT if body is None else body.shift, at.T[sample],
         )  # fmt: skip
         return apart < math.inf and apart <= distance + tolerance
 
@@ -501,15 +501,15 @@ class Separation:
         enough: the bound above which no more planes are measured [m].
         """
         joint, other, piece = int(self.joint[pair]), int(self.other[pair]), int(self.piece[pair])
-        stand = self._body[pair]
-        shift = None if stand is None else stand.shift.tolist()
+        body = self._body[pair]
+        shift = None if body is None else body.shift.tolist()
         count = path.parts + 1
         corners = self._corners4[piece] @ at.T[:count, joint, :3].transpose(0, 2, 1)  # (S, V, 3)
         if other:
             corners = np.matmul(corners - at.t[:count, None, other], at.R[:count, other])
         off = float(path.off_chord(self.travel[self.classes[pair]][None])[0])
         drift = float(np.linalg.norm(self.velocity[pair])) * drift_time if drift_time > 0.0 else 0.0
-        normals, offsets = self._planes_of.of(pair, piece, stand, shift)
+        normals, offsets = self._planes_of.of(pair, piece, body, shift)
         gaps = (offsets - self._fat[piece] - corners @ normals.T).min(axis=1)  # (S, planes)
         least, measured = -FAR, np.zeros(count, dtype=bool)
         for number in range(min(_PLANES, count) + 1):
@@ -534,15 +534,15 @@ class Separation:
         tight = int(best.argmin())
         kept = int(gaps[tight].argmax())
         self._keep_plane(pair, normals[kept], float(offsets[kept]))
-        self._planes_of.keep(pair, piece, stand, shift, normals, offsets)
+        self._planes_of.keep(pair, piece, body, shift, normals, offsets)
         return least, tight
 
     def _from_link(self, pair: int, n: Vector, point: Vector, path: BrakingPath, at: Placements) -> float:
         """The same bound, with the plane of normal `n` (3,) through `point` (3,) at the start, moving with the link."""
-        stand = self._body[pair]
-        if stand is None or stand.corners is None:
+        body = self._body[pair]
+        if body is None or body.corners is None:
             return -FAR
-        corners = stand.corners + stand.shift
+        corners = body.corners + body.shift
         joint = int(self.joint[pair])
         local = n @ at.R[0, joint]
         start = float(local @ ((point - at.t[0, joint]) @ at.R[0, joint]))
@@ -550,7 +550,7 @@ class Separation:
         normals = at.R[:count, joint] @ local  # (S, 3)
         base = np.einsum("si,si->s", normals, at.t[:count, joint])
         gaps = normals @ corners.T - base[:, None]
-        gaps -= start + stand.piece.radius
+        gaps -= start + body.piece.radius
         # in the link's frame the corners turn in the opposite sense, and further out
         size = np.abs(path.delta)
         far = float(np.sqrt(((corners - point) ** 2).sum(axis=1).max())) + float(size @ self.travel[self.classes[pair]])

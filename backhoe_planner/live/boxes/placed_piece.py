@@ -13,7 +13,7 @@ from backhoe_planner.machine.shape import shapes
 _MOST_CORNERS = 64  # of an obstacle's piece that is examined in the link's frame; chosen, to bound the work
 
 
-class Stand:
+class PlacedPiece:
     """A piece of an obstacle, or a box around its cells, and its `shift` (3,) from where it was built [m]."""
 
     def __init__(self, of: shapes.Piece | Part, shift: Vector | None = None) -> None:
