@@ -372,7 +372,8 @@ def test_a_scan_is_an_obstacle_until_the_next_of_its_name_replaces_it(backhoe: R
     states = pushed(servo, {"joint_velocity": [0.8, 0, 0, 0]}, 500)
     near = [state.margin for state in states if state.nearest is not None and state.nearest.obstacle == "scan"]
     assert 0.0 <= min(near) < 0.05
-    for nothing in (np.zeros((0, 3)), []):
+    nothings: tuple[object, ...] = (np.zeros((0, 3)), [])
+    for nothing in nothings:
         servo.add_points("scan", cloud + np.array([4.4, 1.1, -0.5]), resolution=0.1)
         assert "scan" in servo.obstacles
         servo.add_points("scan", nothing)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -85,8 +86,25 @@ def read_survey(
     start = grid.low if low is None else low
     step = CELL if cell is None else cell
     wanted = empty_grid(start, grid.high if high is None else high, step)
+    heights = resampled(grid, wanted)
+    if np.isnan(heights.z).all():
+        raise _lies_elsewhere(grid, wanted, file, _origin(map_origin))
     wide = widened(wanted, grid.low, grid.high, BEYOND)[0]
-    return Survey(resampled(grid, wanted), beyond=_further(resampled(grid, wide), wanted))
+    return Survey(heights, beyond=_further(resampled(grid, wide), wanted))
+
+
+def _lies_elsewhere(grid: HeightGrid, wanted: HeightGrid, file: Path, origin: tuple[float, ...]) -> InputError:
+    """The error about a table of heights, placed by its `origin` (3,), that covers nothing of the wanted ground."""
+    (west, south), (east, north) = grid.low.tolist(), grid.high.tolist()
+    lowest = float(np.min(grid.z, initial=np.inf, where=np.isfinite(grid.z)))
+    middle = np.array([*0.5 * (grid.low + grid.high), lowest if math.isfinite(lowest) else 0.0]) + origin
+    return InputError(
+        "has no height on the ground that is modelled", file=file,
+        found=f"heights from x {west:.10g}, y {south:.10g} to x {east:.10g}, y {north:.10g} m",
+        allowed=f"heights between low {wanted.low.tolist()} and high {np.round(wanted.high, 6).tolist()}",
+        hint="map_origin is the point of the file that is the site's origin: "
+        f"`map_origin: {np.round(middle).astype(int).tolist()}` puts its middle there",
+    )  # fmt: skip
 
 
 @lru_cache(maxsize=2)
@@ -168,8 +186,8 @@ def _missed(z: Matrix, under: Flags) -> str:
 
     seen = np.isfinite(z)
     amid = ~seen & (uniform_filter(seen.astype(float), size=3, mode="nearest") > 0.5)
-    free = np.count_nonzero(~under & (amid | seen))
-    part, count = np.count_nonzero(amid & ~under) / max(free, 1), np.count_nonzero(amid & under)
+    free, count = int(np.count_nonzero(~under & (amid | seen))), int(np.count_nonzero(amid & under))
+    part = np.count_nonzero(amid & ~under) / max(free, 1)
     if not count or part < _SPARSE:
         return ""
     return (

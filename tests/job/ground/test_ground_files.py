@@ -98,6 +98,22 @@ def test_a_cloud_that_lies_elsewhere_is_refused_with_its_place(tmp_path: Path) -
         Terrain.from_file(tmp_path / "ground.xyz")
 
 
+def test_a_geotiff_that_lies_elsewhere_is_refused_with_its_place(tmp_path: Path) -> None:
+    """Heights from 120 to 122 m over 3 m x 2 m in map coordinates, on a site whose ground is asked for from 1 m on."""
+    heights = 120.0 + nodes((0.0, 0.0), (5, 7), 0.5)[..., 1]
+    file = write_geotiff(tmp_path / "ground.tif", heights, corner=(MAP[0] - 0.25, MAP[1] + 2.25))
+    said = (
+        r"no height on the ground .*from x 500000, y 4100000 to x 500003, y 4100002 m.*\[1\.0, 0\.5\].*"
+        r"`map_origin: \[50000[12], 4100001, 120\]`"
+    )
+    with pytest.raises(InputError, match=said):
+        Terrain.from_file(file, low=(1.0, 0.5), high=(2.0, 1.5), cell=0.5)
+    with pytest.raises(
+        InputError, match=said.replace("500000, y 4100000 to x 500003, y 4100002", "70, y 0 to x 73, y 2")
+    ):
+        Terrain.from_file(file, low=(1.0, 0.5), high=(2.0, 1.5), cell=0.5, map_origin=(MAP[0] - 70.0, *MAP[1:]))
+
+
 def test_a_geotiff_places_its_heights(tmp_path: Path) -> None:
     # pixels are areas: the north-west corner is half a cell off the first height
     low, counts = (500_001.0, 4_100_003.0), (5, 7)
