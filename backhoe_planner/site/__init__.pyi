@@ -6,6 +6,7 @@ from .distances.zone_log import ZoneLog as ZoneLog
 from .distances.zone_log import pace as pace
 from .distances.zone_log import worst_first as worst_first
 from .distances.zone_log import zone_log as zone_log
+from .fixed_parts import PASSES_UNDER as PASSES_UNDER
 from .fixed_parts import InTheWay as InTheWay
 from .fixed_parts import check_standing as check_standing
 from .fixed_parts import stands_in as stands_in

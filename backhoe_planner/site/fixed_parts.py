@@ -21,7 +21,7 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.scene_file import Scene
 
-_LIFT = 0.25  # m: anything lower passes under a machine; chosen, loaders have 0.28 to 0.35 m below the chassis
+PASSES_UNDER = 0.25  # m: anything lower passes under a machine; chosen, loaders have 0.28 to 0.35 m below the chassis
 _OVERLAP = 1e-3  # m: less is touching
 
 
@@ -57,7 +57,7 @@ def stands_in(
         if obstacle.moves or obstacle.appears_at > 0.0 or obstacle.links is not None or obstacle.zone is not None:
             continue
         margin = obstacle.clearance if with_clearance else -_OVERLAP
-        lifts = (0.0, _LIFT + max(margin, 0.0))
+        lifts = (0.0, PASSES_UNDER + max(margin, 0.0))
         too_near = [_too_near(robot, obstacle, margin, moved, lift) for lift in lifts]
         if all(too_near):
             return InTheWay(too_near[0], obstacle.name)

@@ -17,7 +17,7 @@ from small_jobs import small_job
 
 import backhoe_planner as bp
 from backhoe_planner.job import OffGround, build_worksite
-from backhoe_planner.machine import Base
+from backhoe_planner.machine import Base, load_robot
 from backhoe_planner.show import plot_stand, write_stand_page
 from backhoe_planner.standing import SiteMap, Spot
 
@@ -167,9 +167,28 @@ def test_what_stands_on_the_ground_of_a_cloud_is_on_the_map(plan: bp.StandPlan, 
     ground = replace(build_worksite(job).ground, off_ground=stands)
     write_stand_page(replace(plan, job=job, ground=ground), tmp_path / "stand.html")
     text = (tmp_path / "stand.html").read_text()
-    drawn = [np.array(POINT.findall(one), dtype=float) * [1.0, -1.0]
-             for one in re.findall(r'<polygon class="obstacle" points="([^"]*)"', text)]  # fmt: skip
+    drawn = things_in(tmp_path / "stand.html")
     assert sum(np.prod(np.ptp(one, axis=0)) for one in drawn) == pytest.approx(0.39)
     every = np.vstack(drawn)
     np.testing.assert_allclose([every.min(axis=0), every.max(axis=0)], [[2.0, -1.4], [4.0, 0.6]], atol=1e-9)
     assert "</i>stands on the ground</li>" in text
+
+
+def test_what_stands_in_a_scan_of_the_site_is_on_the_map(plan: bp.StandPlan, tmp_path: Path) -> None:
+    """A wall from x 2 to 4 m and y -1.2 to -1 m, 1 m high, on a street that is scanned, too: in voxels of 0.1 m."""
+    wall = np.stack(np.meshgrid(np.arange(2.05, 4, 0.1), [-1.15, -1.05], np.arange(0.05, 1, 0.1)), axis=-1)
+    street = np.stack(np.meshgrid(np.arange(-3, 6, 0.1), np.arange(-3, 3, 0.1), [-0.05]), axis=-1)
+    np.savetxt(tmp_path / "scan.csv", np.vstack((wall.reshape(-1, 3), street.reshape(-1, 3))), delimiter=",")
+    scan = {"name": "scan", "shape": "pointcloud", "file": str(tmp_path / "scan.csv"), "resolution": 0.1}
+    job = small_job(site={"obstacles": [scan]})
+    write_stand_page(replace(plan, job=job, robot=load_robot("example:backhoe")), tmp_path / "stand.html")
+    every = np.vstack(things_in(tmp_path / "stand.html"))
+    np.testing.assert_allclose([every.min(axis=0), every.max(axis=0)], [[2.0, -1.2], [4.0, -1.0]], atol=1e-9)
+
+
+def things_in(file: Path) -> list[np.ndarray[Any, Any]]:
+    """(4, 2) corners x, y [m] of each rectangle in which something stands, as the page draws it."""
+    return [
+        np.array(POINT.findall(one), dtype=float) * [1.0, -1.0]
+        for one in re.findall(r'<polygon class="obstacle" points="([^"]*)"', file.read_text())
+    ]

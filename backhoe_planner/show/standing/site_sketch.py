@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.job import Terrain
 from backhoe_planner.machine import Base, voxel_boxes
-from backhoe_planner.site import Obstacle, build_obstacles
+from backhoe_planner.site import PASSES_UNDER, Obstacle, build_obstacles
+from backhoe_planner.site.schema import obstacle_shapes
 from backhoe_planner.standing import Place, Spot, StandPlan
 
 COSTS = ("#0b6e4f", "#5fae7b", "#d5e3a6", "#f2c879", "#c8643c")  # cheap to expensive; the ends differ in brightness too
@@ -24,6 +26,8 @@ WHY = {  # why a machine cannot stand somewhere: a colour and words; places out 
 DIG, OBSTACLE, HEAP, MACHINE, GIVEN = "#8a6a4a", "#7d8894", "#b99b6b", "#1d2731", "#5d6b78"
 THINGS = "stands on the ground"  # the words for what a cloud shows
 WHOLE = 0.98  # part of the soil from which a place counts as reaching all of it; as in the search
+_MOST_TRIANGLES = 40_000  # of a scan, from larger voxels if there are more; chosen
+_UPRIGHT = 0.9  # of its edge: a side of a voxel that is as high is upright; chosen, for scans tilted up to 40 degrees
 _LAID = 0.05  # m of loose soil from which it is drawn as a heap
 _DEAREST = 0.9  # of the costs in order: the most expensive tenth has one colour, so that a few do not stretch the scale
 
@@ -108,6 +112,7 @@ def sketch_of(plan: StandPlan) -> Sketch:
     own = None if is_answer else Machine(_outlines(plan, base), np.array(base.position), _middle(plan.map.outline), "")
     digs = tuple(_section(place) for place in plan.places if place.section is not None) or (found.outline,)
     heaps = _heaps(plan)
+    obstacles = () if plan.robot is None else build_obstacles(plan.job.site_scene, plan.robot)
     drawn = [found.outline, *digs, *heaps, *(outline for one in (*machines, own) if one for outline in one.outlines)]
     drawn += [cell.corners for cell in cells if np.isfinite(cell.spot.cost)]
     every = np.vstack(drawn)
@@ -116,7 +121,7 @@ def sketch_of(plan: StandPlan) -> Sketch:
     limits = (float(costs[0]), float(costs[int(_DEAREST * (len(costs) - 1))])) if len(costs) else (0.0, 1.0)
     time = plan.job.objective == "time"
     return Sketch(
-        cells, digs, _obstacles(plan), _things(plan), heaps, machines, own, low, high, limits,
+        cells, digs, _outlines_of(obstacles), _things(plan, obstacles), heaps, machines, own, low, high, limits,
         "s/m³" if time else "kJ/m³", 1.0 if time else 1e-3,
     )  # fmt: skip
 
@@ -197,26 +202,38 @@ def _laid(ground: Terrain) -> tuple[Matrix, ...]:
     return tuple(found)
 
 
-def _obstacles(plan: StandPlan) -> tuple[tuple[str, Matrix], ...]:
+def _outlines_of(obstacles: Sequence[Obstacle]) -> tuple[tuple[str, Matrix], ...]:
     """Names and outlines of the obstacles that have an outline from above."""
-    if plan.robot is None:
-        return ()
     found = []
-    for obstacle in build_obstacles(plan.job.site_scene, plan.robot):
+    for obstacle in obstacles:
         outline = None if obstacle.zone is not None else _outline(obstacle)
         if outline is not None:
             found.append((obstacle.name, outline))
     return tuple(found)
 
 
-def _things(plan: StandPlan) -> tuple[Matrix, ...]:
-    """(4, 2) corners of rectangles [m] that together are the columns in which something stands on the ground."""
+def _things(plan: StandPlan, obstacles: Sequence[Obstacle]) -> tuple[Matrix, ...]:
+    """(4, 2) corners of rectangles [m] that together are the columns in which something stands on the ground.
+
+    Of a scan among the obstacles everything counts under which a machine cannot pass.
+    """
     stands = None if plan.ground is None else plan.ground.off_ground
-    if stands is None:
-        return ()
-    flat = np.column_stack((stands.keys[:, :2] + 0.5, np.full(len(stands.keys), 0.5)))
+    found = [] if stands is None else _rectangles(stands.centres[:, :2] / stands.edge, stands.edge)
+    for obstacle in obstacles:
+        if isinstance(obstacle.spec, obstacle_shapes.PointCloud) and obstacle.cluster is not None:
+            sides = obstacle.cluster.drawing(_MOST_TRIANGLES)[0].reshape(-1, 4, 3)  # of voxels, four corners each
+            edge = float(np.linalg.norm(sides[0, 1] - sides[0, 0]))
+            middle = sides.mean(axis=1)
+            is_top = (np.ptp(sides[..., 2], axis=1) < _UPRIGHT * edge) & (middle[:, 2] > PASSES_UNDER)
+            found += _rectangles(middle[is_top, :2] / edge, edge)
+    return tuple(found)
+
+
+def _rectangles(places: Matrix, edge: float) -> list[Matrix]:
+    """(4, 2) corners of rectangles that together are the squares with an `edge` [m] around places (k, 2) [edges]."""
     corners = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    return tuple(stands.edge * (centre[:2] + size[:2] * corners) for centre, size in voxel_boxes(flat, 1.0))
+    flat = np.column_stack((places, np.full(len(places), 0.5)))
+    return [edge * (centre[:2] + size[:2] * corners) for centre, size in voxel_boxes(flat, 1.0)]
 
 
 def _outline(obstacle: Obstacle) -> Matrix | None:
