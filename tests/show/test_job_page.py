@@ -13,7 +13,7 @@ import pytest
 from small_jobs import small_job
 
 from backhoe_planner.errors import OutputError
-from backhoe_planner.job import JobPlan, job_figures, plan_job
+from backhoe_planner.job import JobPlan, OffGround, job_figures, plan_job
 from backhoe_planner.show import write_job_page
 from backhoe_planner.show.job.ground_changes import changes_of, start_of
 from backhoe_planner.show.job.job_facts import job_facts
@@ -106,6 +106,14 @@ def test_a_job_that_fails_before_its_first_cycle_has_a_page_with_the_reason(plan
     assert job_parts(unplanned) == ()
     write_job_page(unplanned, tmp_path / "job.html")
     assert "too little torque" in (tmp_path / "job.html").read_text(encoding="utf-8")
+
+
+def test_without_a_cycle_the_page_shows_what_the_survey_found(plan: JobPlan, tmp_path: Path) -> None:
+    """A block of 0.5 m that the job's own ground does not have, in front of the machine."""
+    block = OffGround(0.1, np.array([(x, y, z) for x in range(50, 55) for y in range(-5, 0) for z in range(5)]))
+    start = replace(plan.start, off_ground=block)
+    write_job_page(replace(plan, cycles=(), failure="blocked", start=start), tmp_path / "job.html")
+    assert "what stands at x 5.2, y -0.2 m" in (tmp_path / "job.html").read_text(encoding="utf-8")
 
 
 def opened(browser: Any, file: Path) -> tuple[Any, list[str]]:

@@ -131,7 +131,7 @@ def _buried(problem: Problem, graph: SceneGraph, lowest: float) -> list[str]:
 
 def _problem(plan: JobPlan) -> Problem:
     """The problem of the first motion; without any motion, the site with the machine at its start. It has no goals."""
-    first = plan.cycles[0].legs[0].problem if plan.cycles else build_worksite(plan.job).problem
+    first = plan.cycles[0].legs[0].problem if plan.cycles else build_worksite(plan.job, terrain=plan.start).problem
     return replace(first, goals=(), path=None)
 
 
