@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
@@ -38,6 +39,17 @@ def test_an_unchanged_plan_loads_verified_with_the_same_figures(tmp_path: Path) 
     found = bp.load_job_plan(tmp_path / "job.json")
     assert (found.verdict, found.note) == ("verified", "")
     assert [cycle.depth for cycle in found.cycles] == [cycle.depth for cycle in tiny_plan().cycles]
+
+
+def test_an_unchanged_plan_whose_patterns_dig_nothing_is_not_said_to_be_changed(tmp_path: Path) -> None:
+    """As for a survey by which nearly everything is dug: no cycle, and an infinite cost per m^3."""
+    nothing = tuple(replace(one, cycles=0, bank=0.0, cost=math.inf) for one in tiny_plan().compared)
+    plan = replace(tiny_plan(), cycles=(), compared=nothing, failure="not_done")
+    plan.save(tmp_path / "job.json")
+    assert "compared patterns or steps were changed" not in bp.load_job_plan(tmp_path / "job.json").note
+    edited = json.loads((tmp_path / "job.json").read_text())
+    edited["compared"][0]["bank"] = 0.1
+    assert "compared patterns or steps were changed" in read(edited, tmp_path).note
 
 
 def test_edited_motions_loads_and_settings_are_reported(tmp_path: Path) -> None:

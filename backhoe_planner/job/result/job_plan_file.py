@@ -424,8 +424,10 @@ def _cycle(cycle: Cycle) -> CycleRecord:
 
 
 def _pattern(one: PatternEstimate) -> PatternRecord:
+    # infinite if nothing is dug; a file has neither that nor nan, and `choices` is computed anew from what it has
+    cost = one.cost if math.isfinite(one.cost) else math.nan
     return PatternRecord(
-        name=one.name, cycles=one.cycles, bank=one.bank, duration=one.duration, work=one.work, cost=one.cost,
+        name=one.name, cycles=one.cycles, bank=one.bank, duration=one.duration, work=one.work, cost=cost,
         finished=one.finished, chosen=one.chosen,
     )  # fmt: skip
 
