@@ -101,7 +101,7 @@ def view(
     ] = None,
     urdf: PlanUrdf = None,
 ) -> int:
-    """Play a plan in the browser, or write it, or the plan of a job, as one page."""
+    """Play a plan in the browser, or write its page, or a job's."""
     if html is not None:
         check_output(html, [plan_file])
     if job.is_job_plan(plan_file):
@@ -125,7 +125,7 @@ def view(
 
 
 def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
-    """Compute the certificate of a plan, or of every motion of a job, anew."""
+    """Compute the certificate of a plan, or of a job, anew."""
     begun = clock.monotonic()
     if job.is_job_plan(plan_file):
         return check_job(plan_file, urdf)

@@ -310,7 +310,9 @@ def test_the_live_view_shows_steps_and_then_the_plan(backhoe: Robot, tab: Tab, m
             assert not viewer.show_step(plan.trajectory.q[0], 4.0)  # too soon
         tab.page.wait_for_function(f"Math.abs({SWING}[2]) > 0.3")
         assert abs(tab.ask(SWING)[2]) == pytest.approx(np.sin(END[0] / 2.0), abs=1e-6)
-        assert f"{np.degrees(END[0]):.1f}°" in tab.page.locator("#joints").inner_text()
+        # the panel follows with the next frame
+        told = f"document.getElementById('joints').innerText.includes('{np.degrees(END[0]):.1f}°')"
+        tab.page.wait_for_function(told)
 
         viewer.play(plan)
         tab.page.wait_for_function("backhoe.plan !== null")
