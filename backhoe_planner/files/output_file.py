@@ -65,8 +65,8 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     try:
         target = target.resolve() if target.is_symlink() else target
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-            target.lstat()
-    except (OSError, RuntimeError, ValueError) as error:  # a circle of links is a RuntimeError until Python 3.12
+            target.stat()  # of a circle of links it is an OSError, if `resolve` has not raised a RuntimeError before
+    except (OSError, RuntimeError, ValueError) as error:
         said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise OutputError(f"cannot be written: {said}", file=file) from error
     if target.is_dir():

@@ -30,6 +30,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import check_kind
+from backhoe_planner.machine.bounded_minimum import minimum_within
 from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics, wrap_angle
 from backhoe_planner.machine.robot import Robot
 
@@ -143,8 +144,6 @@ class _Plane:
 
     def _best(self, axis: int, sign: float, *, on_ground: bool = False) -> Vector:
         """(k,) joints with the largest sign * point[axis]: from a grid's best, then SLSQP."""
-        from scipy.optimize import minimize
-
         axes = [np.linspace(lo, hi, _GRID) for lo, hi in zip(self._lower, self._upper, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
         points = np.array([self.point(row) for row in grid])
@@ -152,19 +151,15 @@ class _Plane:
         constraints = [{"type": "eq", "fun": lambda angles: self.point(angles)[1]}] if on_ground else []
         best, value = grid[int(np.argmax(score))], -np.inf
         for row in np.argsort(-score)[:_SEEDS]:
-            found = minimize(
-                lambda angles: -sign * self.point(angles)[axis],
-                grid[row],
-                bounds=np.column_stack((self._lower, self._upper)),
-                constraints=constraints,
-                method="SLSQP",
-                options={"ftol": 1e-12, "maxiter": 200},
-            )
-            reached = self.point(found.x)
+            found = minimum_within(
+                lambda angles: -sign * self.point(angles)[axis], grid[row], self._lower, self._upper,
+                ftol=1e-12, constraints=constraints,
+            )  # fmt: skip
+            reached = self.point(found)
             if on_ground and abs(reached[1]) > _ON_GROUND:
                 continue
             if sign * reached[axis] > value:
-                best, value = found.x, sign * reached[axis]
+                best, value = found, sign * reached[axis]
         return np.asarray(np.clip(best, self._lower, self._upper))
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_count, as_number
 from backhoe_planner.errors import check_kind
+from backhoe_planner.machine.bounded_minimum import minimum_within
 from backhoe_planner.machine.kinematics.kinematics import BatchKinematics, ConfigurationBatch, Kinematics, place_chain
 from backhoe_planner.machine.kinematics.target import (
     IMMOVABLE,
@@ -128,18 +129,12 @@ def _nearest(target: TipTarget, start: Vector, kinematics: Kinematics, angle_wei
     Newton-Raphson would be slow here: if the error stays large, J^T J is far from the second
     derivative of the squared error.
     """
-    from scipy.optimize import minimize
-
     limits = kinematics.robot.limits
-    found = minimize(
-        lambda q: _squared(target, kinematics, q, angle_weight),
-        start,
-        jac=True,
-        method="SLSQP",
-        bounds=np.column_stack((limits.lower, limits.upper)),
-        options={"ftol": 1e-15, "maxiter": 200},
-    )
-    return np.asarray(np.clip(found.x, limits.lower, limits.upper))
+    found = minimum_within(
+        lambda q: _squared(target, kinematics, q, angle_weight), start, limits.lower, limits.upper,
+        ftol=1e-15, jac=True,
+    )  # fmt: skip
+    return np.asarray(np.clip(found, limits.lower, limits.upper))
 
 
 def _squared(target: TipTarget, kinematics: Kinematics, q: Vector, angle_weight: float) -> tuple[float, Vector]:
