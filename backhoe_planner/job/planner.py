@@ -177,7 +177,7 @@ class _Run:
         cycles = [] if resume is None else list(resume.cycles)
         refusals = _Refusals()
         ended: JobReason | None = None
-        state = planner.first(self._site.ground)
+        state = self._work.dump.first(self._site.ground, self._work.grounds)
         for cycle in cycles:
             state = planner.again(state, cycle)
         self._tell(watch, cycles, own.cycles)
