@@ -54,14 +54,17 @@ class Searches:
         self.longest: list[float] = []
         self.before: list[Any] = []
         self.earlier: list[int] = []
+        self.freely: list[bool] = []
         self.allowed_time = 5.0
         self.looked_at = self.routes = 0
         self.best: FoundMotion | None = None
 
     def __call__(
-        self, world: World, *_: Any, longest: float = math.inf, before: Any = None, earlier: Any = (), **__: Any
+        self, world: World, *_: Any, longest: float = math.inf, before: Any = None, earlier: Any = (),
+        freely: bool = False, **__: Any,
     ) -> Searches:  # fmt: skip
         self.earlier.append(len(earlier))
+        self.freely.append(freely)
         self.seeds.append(world.seed)
         self.longest.append(longest)
         self.before.append(before)
@@ -201,9 +204,9 @@ def test_thorough_continues_its_own_search_if_the_best_makes_a_detour(
     ("rounds", "costs", "best"),
     [
         (10, [10.0], "search 1"),  # a motion found soon would be found again
-        (90, [10.0, 10.2], "search 1"),
-        (90, [10.0, 12.0], "search 1"),
-        (90, [10.0, 9.8], "search 2"),  # 2 % less
+        (90, [10.0, 10.2, 10.3], "search 1"),  # one of each kind
+        (90, [10.0, 12.0, 9.8], "search 3"),  # 2 % less
+        (90, [10.0, 9.8, 9.6], "search 3"),
         (90, [10.0, 8.0, 8.1], "search 2"),
         (90, [10.0, 8.0, 6.0, 4.0], "search 4"),  # and no fifth
         (90, [1e-3], "search 1"),  # less than lifting all moving links by half a millimetre
@@ -217,6 +220,7 @@ def test_long_searches_for_least_work_are_repeated_until_one_gains_little(
     assert (way, len(searches.seeds)) == (best, len(costs))
     assert searches.before == [None] * len(costs)
     assert searches.earlier == list(range(len(costs)))
+    assert searches.freely == [False, True, False, True][: len(costs)]
 
 
 @pytest.mark.parametrize(
@@ -239,11 +243,11 @@ def test_short_searches_for_another_cost_than_work_are_repeated_until_two_costs_
     assert [one is not None for one in searches.before] == [leads_round and number == 1 for number in range(len(costs))]
 
 
-@pytest.mark.parametrize(("paid", "count"), [(False, 1), (True, 2)])
+@pytest.mark.parametrize(("paid", "count"), [(False, 1), (True, 3)])
 def test_a_short_search_is_repeated_if_refining_took_much_from_its_best(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, paid: bool, count: int
 ) -> None:
-    found = iter([(10.0, DURATION), (10.1, DURATION)])
+    found = iter([(10.0, DURATION), (10.1, DURATION), (10.2, DURATION)])
     _, searches = way_of(
         planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=10, refining_paid=paid
     )  # fmt: skip
@@ -416,9 +420,12 @@ def test_a_search_that_would_only_repeat_another_one_counts_as_one_of_the_same_c
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It ends with its fast motion, which costs 30."""
-    found = iter([(10.0, DURATION), (30.0, DURATION)])
+    found = iter([(10.0, DURATION), (30.0, DURATION), (30.0, DURATION)])
     way, searches = way_of(planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=90, repeats=True)
-    assert (way, len(searches.seeds)) == ("search 1", 2)
+    assert (way, len(searches.seeds)) == ("search 1", 3)
+    found = iter([(10.0, DURATION), (30.0, DURATION)])
+    _, searches = way_of(planar4, "effort", found, monkeypatch, effort=EFFORTS["normal"], rounds=90, repeats=True)
+    assert len(searches.seeds) == 2  # two of the same cost agree
 
 
 def test_a_search_from_the_starts_of_an_earlier_one_ends_before_any_descent_for_its_cost(

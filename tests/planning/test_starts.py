@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -115,6 +116,34 @@ def test_spread_starts_are_taken_at_equal_steps_of_the_prices_below_three_times_
     near = JointCurve.straight(np.zeros(1), np.array([12.5]), 3)  # 2.5 s from two of them
     assert [one.start.way for one in prices.spread(fair, 3, known=[lines[0], near])] == list("15")
     assert prices.fair(iter([])) == prices.spread([], 3) == []
+
+
+def test_starts_far_from_each_other_are_taken_first_and_nearer_ones_until_there_are_enough() -> None:
+    """Lines of at most 20 s of joint time; nearer than 1.6 s counts as near at first, then nearer than 0.8 s."""
+    goal: Any = None
+    descent: Any = SimpleNamespace(rate=np.ones(1))
+    screen: Any = None
+    prices = StartPrices(descent, screen, longest=LONGEST)
+    priced = [
+        PricedStart(Start(JointCurve.straight(np.zeros(1), np.array([end]), 3), 1.0, goal, str(end)), 1.0 + 0.1 * k)
+        for k, end in enumerate([5.0, 6.0, 5.5, 9.0, 12.0, 10.0])
+    ]
+
+    def ways(count: int, known: Sequence[JointCurve] = ()) -> list[str]:
+        return [one.start.way for one in prices.spaced(priced, count, known=known)]
+
+    assert ways(2) == ["5.0", "9.0"]
+    assert ways(3) == ["5.0", "9.0", "12.0"]
+    assert ways(4) == ["5.0", "9.0", "12.0", "6.0"]
+    assert ways(9) == ["5.0", "9.0", "12.0", "6.0", "10.0"]  # 5.5 is nearer than 0.8 s to two others
+    assert ways(9, [JointCurve.straight(np.zeros(1), np.array([9.5]), 3)]) == [
+        "5.0",
+        "12.0",
+        "6.0",
+    ]  # 1 s counts as near
+    in_half_seconds = StartPrices(descent, screen, longest=LONGEST, alike=np.full(1, 0.5))
+    assert len(in_half_seconds.spaced(priced, 9)) == 6
+    assert prices.spaced([], 3) == []
 
 
 @pytest.mark.long

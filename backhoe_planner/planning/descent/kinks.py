@@ -133,7 +133,7 @@ class NearKinks:
         return replace(self, rise_crossed=self.rise_crossed | rise, fall_crossed=self.fall_crossed | fall)
 
 
-def rounded(parts: Array, width: float) -> Array:
+def rounded(parts: Array, width: float | Array) -> Array:
     """The costs phi of `parts`, with kinks rounded off."""
     positive = np.maximum(parts, 0.0)
     return np.asarray(np.where(positive < width, positive * positive / (2.0 * width), positive - 0.5 * width))

@@ -149,6 +149,26 @@ class OwnTime:
             return soft_power(self.drive.hydraulics, q, v, self._torques(q, v, a), flow=self.soft_flow)[:, None], False
         return cost_rate(self.problem, q, v, a)[:, None], False
 
+    def rate_slopes(self, q: Matrix, v: Matrix, a: Matrix, *, width: Vector) -> tuple[Vector, Matrix]:
+        """(K,) the cost per second of moments at q, v, a (K, n), and (K, 3 n) its derivatives by these.
+
+        Parameters
+        ----------
+        width: (K,) by which kinks are rounded off [unit per second].
+        """
+        n, width = q.shape[1], width[:, None]
+        if self.problem.objective.is_positive_power:
+            torque, slopes = self.drive.torque_slopes(q, v, a)
+            rate, rising = rounded(torque * v, width), np.clip(torque * v / width, 0.0, 1.0)
+            slope = np.einsum("kj,kjm->km", rising * v, slopes)
+            slope[:, n : 2 * n] += rising * torque
+            return np.sum(rate, axis=1), slope
+        if self.problem.objective.is_squared_torque:
+            torque, slopes = self.drive.torque_slopes(q, v, a)
+            return np.sum(torque * torque, axis=1), np.einsum("kj,kjm->km", 2.0 * torque, slopes)
+        found, slopes = moment_slopes(lambda *at: self.parts(*at)[0], q, v, a)
+        return found[:, 0], slopes[:, 0]
+
     def mean_flow(self, curve: JointCurve, duration: float) -> float:
         """The mean flow of a cylinder over the whole motion [m^3/s]; 0 if there is none."""
         q, v, _ = self._moments(curve, duration)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.descent.curve import JointCurve, from_rest_to_rest
 from backhoe_planner.planning.descent.descent import Descent
@@ -16,6 +17,7 @@ from backhoe_planner.site import ClearanceScreen
 _PLACES = 25  # of a curve, that are checked for collisions; chosen, about every 2 to 10 cm of the tip
 _PART = 0.5  # part of the curve in which an early or a late joint makes its whole move; chosen
 _APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
+_CLOSER = (0.08, 0.04)  # the same, in turn, until there are enough; chosen
 _SAME = 0.05  # the same between a start and one that was tried before; chosen
 _EQUAL = 0.005  # the same between two starts whose descents end alike; chosen
 _DEAR = 3.0  # times the least price, above which no descent is tried; measured: above it hardly any becomes the best
@@ -50,10 +52,15 @@ class StartPrices:
     descent: of another cost than the time.
     screen: of the obstacles.
     longest: the longest time that a motion may take [s].
+    alike: (n,) how far each joint may turn or slide in a second that count alike in distances between starts [rad/s or
+        m/s]; by default the velocity limits.
     """
 
-    def __init__(self, descent: Descent, screen: ClearanceScreen, *, longest: float) -> None:
+    def __init__(
+        self, descent: Descent, screen: ClearanceScreen, *, longest: float, alike: Vector | None = None
+    ) -> None:
         self._descent, self._screen, self._longest = descent, screen, longest
+        self._alike = descent.rate if alike is None else alike
 
     def in_order(self, starts: Sequence[Start]) -> Iterator[PricedStart]:
         """Starts with equally many pieces, the cheapest first; the blocked part is checked only if needed."""
@@ -112,6 +119,24 @@ class StartPrices:
         """
         left = [one for one in priced if not self._is_near(one, known, _APART)]
         return left[:: max(-(-len(left) // count), 1)]
+
+    def spaced(
+        self, priced: Sequence[PricedStart], count: int, *, known: Sequence[JointCurve] = ()
+    ) -> list[PricedStart]:
+        """At most `count` of starts in order of price: those far from each other first, then nearer ones.
+
+        Parameters
+        ----------
+        known: curves with equally many pieces; starts near them are left out.
+        """
+        left, chosen = [one for one in priced if not self._is_near(one, known)], list[PricedStart]()
+        for apart in _CLOSER:
+            rest: list[PricedStart] = []
+            for one in left:
+                near = len(chosen) >= count or self._is_near(one, [other.start.curve for other in chosen], apart)
+                (rest if near else chosen).append(one)
+            left = rest
+        return chosen
 
     def repeats(self, one: PricedStart, known: Sequence[JointCurve]) -> bool:
         """Whether a descent from a start ends like that from one of the `known` curves, with equally many pieces."""
@@ -179,7 +204,7 @@ class StartPrices:
         """Whether a start is near one of `known`, with equally many pieces, by `within`, a part of the longest time."""
         if not known:
             return False
-        apart = np.abs(one.start.curve.control - np.array([other.control for other in known])) / self._descent.rate
+        apart = np.abs(one.start.curve.control - np.array([other.control for other in known])) / self._alike
         return bool(np.min(np.max(apart, axis=(1, 2))) <= within * self._longest)
 
 

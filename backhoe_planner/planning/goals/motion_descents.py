@@ -181,9 +181,9 @@ class MotionDescents:
             self.early, self.blocked = min(self.early, other.early), min(self.blocked, other.blocked)
         self._to_beat = self.early
 
-    def prices(self, screen: ClearanceScreen) -> StartPrices:
-        """The prices of starts among the obstacles of `screen`."""
-        return StartPrices(self._descent, screen, longest=self.longest)
+    def prices(self, screen: ClearanceScreen, *, alike: Vector | None = None) -> StartPrices:
+        """The prices of starts among the obstacles of `screen`; for `alike` see `StartPrices`."""
+        return StartPrices(self._descent, screen, longest=self.longest, alike=alike)
 
     @property
     def begun(self) -> tuple[JointCurve, ...]:

@@ -2,7 +2,8 @@
 
 The starts are straight lines in joint space to the nearest postures on a goal, clear or not, then a sampled route,
 then different routes through roadmaps, made of configurations through which a motion can be shorter than the best,
-or much shorter. Every motion that counts is proven clear.
+or much shorter. Every motion that counts is proven clear. A search that repeats another one for another cost than the
+time may begin with what descents without obstacles make of lines to many more postures, see `free_starts`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import travel_within
 from backhoe_planner.motion import Goal, Trajectory, motion_cost
 from backhoe_planner.planning.descent.descent import NO_COST
+from backhoe_planner.planning.descent.starts import PricedStart, StartPrices
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
     bound_behind,
@@ -24,6 +26,7 @@ from backhoe_planner.planning.goals.allowed_time import (
     fastest_with_room,
     has_room,
 )
+from backhoe_planner.planning.goals.free_starts import LINES_FOR_ONE, alike, free_starts
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.motion_descents import FINE_ROUNDS, LEAST_GAIN, MotionDescents, holds_end
 from backhoe_planner.planning.goals.straight_lines import StraightLines
@@ -52,6 +55,7 @@ _PATIENCE_ROUND = ((2.0, 3), (1.3, 2))
 _NEAR = 1.1  # times the least time to any posture, up to which a motion counts as near the best possible; chosen
 _MORE_POSTURES = 4  # times the usual starting points, if more postures are looked for; chosen
 _MORE_FOR_COST = 12  # the same for another cost than the time, which depends mostly on the end; measured
+_MORE_FREELY = 36  # the same for a search that begins with descents without obstacles; chosen
 _SIDES = 2  # sampled detours for a start that is blocked, which may pass it on different sides; chosen
 _VAIN = 2  # a search that found no route at all counts as so many that gained nothing; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
@@ -60,6 +64,7 @@ _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; ch
 # because the price of a line says little about the result of its descent: on an open site of the Panda with lines to
 # 509 postures, one that costs 2.2 times as much as the cheapest ends at half of its cost; chosen
 _LINES_FOR_ONE, _LINES_TRIED_FOR_ONE, _LINES_SPREAD_FOR_ONE = 3, 2, 2
+_STARTS_FOR_ONE = 2.5  # starts of a search that begins with descents without obstacles, likewise; chosen
 _LONGEST = 20.0  # times the fastest motion: chosen, more time costs samples and gains nothing
 # times the least cost that an earlier search had before refining, up to which a motion is refined; chosen
 _REFINED, _REFINED_FRUGAL = 1.3, 1.0  # the second for frugal searches; chosen
@@ -87,6 +92,8 @@ class MotionSearch:
     longest: the longest time that a motion may take, if the time is not the cost [s]; if infinite, the search finds it.
     before: an earlier search from the same start among the same obstacles, which has ended and is continued here with
         other random choices, if the time is not the cost: the same longest time holds, and only better motions count.
+    freely: whether to begin with what descents without obstacles make of lines to many more postures, and without a
+        search for a fast motion; only if the time is not the cost, and `longest` is finite.
     earlier: other searches from the same start among the same obstacles, which have ended, if the time is not the cost:
         what they have tried is not tried again.
 
@@ -98,7 +105,8 @@ class MotionSearch:
 
     def __init__(
         self, world: World, start: Vector, found: GoalPostures, *, time: float, enough: float = 0.0,
-        longest: float = np.inf, before: MotionSearch | None = None, earlier: Sequence[MotionSearch] = (),
+        longest: float = np.inf, before: MotionSearch | None = None, freely: bool = False,
+        earlier: Sequence[MotionSearch] = (),
     ) -> None:  # fmt: skip
         self._world, self._start, self._time, self._enough = world, start, time, enough
         self._problem, self._hurried = world.problem, world.work.effort.is_hurried
@@ -107,6 +115,7 @@ class MotionSearch:
         self._ends.take(found.clear, found.goals)
         self._lines = StraightLines(start, self._ends, self._screen, pieces=world.work.effort.pieces)
         self._ways = Ways(world, start, self._ends, time=time, hurried=self._hurried)
+        self._freely = freely
         self._goes_on = before is not None and before.allowed_time is not None
         known: MotionDescents | None = None if before is None else before._descents
         self._descents: MotionDescents = MotionDescents(
@@ -151,14 +160,14 @@ class MotionSearch:
         """
         try:
             if not self._problem.objective.is_time:
-                self._go_fast()
+                self._go_freely() if self._freely else self._go_fast()
             if self.repeats:
                 return ""
-            if self.allowed_time is None:
+            if self.allowed_time is None and not self._freely:
                 self._go_straight(self._lines.least_blocked() if self._hurried else self._ends.order)
                 if not self._hurried and not self._is_enough():
                     self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))
-            if self.leads_round or self.best is None:
+            if self.leads_round or (self.best is None and not self._freely):
                 self._go_round()
             if not self._is_enough() and self._is_worth_refining:
                 self.repeats = self._is_refined_already
@@ -259,6 +268,21 @@ class MotionSearch:
             *cheap,
             *prices.spread(straight, _LINES_SPREAD_FOR_ONE * ways, known=[*begun, *(one.start.curve for one in cheap)]),
         ]
+        self._descend_unless_tried(prices, chosen)
+
+    def _go_freely(self) -> None:
+        """Descents from where descents without obstacles end, which begin at lines to many more postures."""
+        work, longest = self._world.work, self._descents.longest
+        self._look_for_postures(within=longest)
+        self._descents.reserve(work.descent_rounds // 3)
+        own = alike(self._problem, np.vstack((self._start, *self._ends.postures)))
+        prices, ways = self._descents.prices(self._screen, alike=own), work.effort.ways_at_once
+        lines = self._lines.many_within(longest, most=LINES_FOR_ONE * ways, alike=own)
+        starts = free_starts(self._problem, lines, prices, longest=longest, ways=ways)
+        self._descend_unless_tried(prices, prices.spaced(starts, round(_STARTS_FOR_ONE * ways), known=self._tried))
+
+    def _descend_unless_tried(self, prices: StartPrices, chosen: Sequence[PricedStart]) -> None:
+        """Descents from the `chosen` starts, unless earlier searches began with all of them."""
         self.repeats = bool(self._tried) and all(prices.repeats(one, self._tried) for one in chosen)
         if not self.repeats:
             self._descents.descend_cheapest(chosen)
@@ -325,7 +349,7 @@ class MotionSearch:
     def _look_for_postures(self, within: float | None) -> list[int]:
         """Look for more postures, within a time [s] or anywhere; the indices of the new ones, the soonest first."""
         self._looked_within = np.inf if within is None else within
-        more = _MORE_POSTURES if self._problem.objective.is_time else _MORE_FOR_COST
+        more = _MORE_FREELY if self._freely else _MORE_POSTURES if self.is_for_time else _MORE_FOR_COST
         found = find_goal_postures(
             self._world, self._problem.goals, near=self._start, time=self._time, more=more,
             travel=None if within is None else travel_within(within, self._problem.limits),

@@ -28,6 +28,10 @@ _FEWER = 3  # times fewer further searches for a cost that jumps, as each takes 
 # part of the cost that a search begun anew must gain for another to follow; measured on 63 sites of three machines: of
 # 32 such searches three gained more than 1 %, and of nine that followed one without a gain, one did (1.1 %)
 _DULL = 0.03
+# kinds of searches: every other one that is begun anew begins with what descents without obstacles make of lines to
+# many more postures. On an open site of the Panda six searches of the usual kind end at 3.3 to 3.6 J and two of the
+# other at 2.1 J, on a site of the backhoe it is 172 J and 211 J
+_KINDS = 2
 # part of the cost by which the results of two searches count as equal where searches are not frugal, and so many equal
 # ones end them; chosen
 _ALIKE, _AGREE = 0.03, 2
@@ -89,6 +93,7 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
     searches = () if ended or best is None else _further(search, world)
     # the costs of the first search with those that continue it, and of each search that was begun anew
     costs = [] if best is None else [best.cost]
+    anew = 0  # searches that were begun anew
     earlier: list[MotionSearch] = []  # that have ended; of those that continue each other, the last
     for number, goes_on in enumerate(searches, start=1):
         assert best is not None
@@ -100,7 +105,11 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
             continue
         before = search if goes_on else None
         earlier = earlier if goes_on or search.is_for_time else [*earlier, search]
-        search = MotionSearch(again, start, postures, time=time, longest=longest, before=before, earlier=earlier)
+        anew += not goes_on
+        search = MotionSearch(
+            again, start, postures, time=time, longest=longest, before=before, earlier=earlier,
+            freely=not search.is_for_time and anew % _KINDS == 1,
+        )  # fmt: skip
         ended, other = search.run(), search.best
         cost = math.inf if other is None or other.motion.duration > longest else other.cost
         if other is not None and cost < best.cost:
@@ -118,7 +127,9 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
     if first.is_for_time:
         return (False,) * (effort.restarts_long if first.takes_long else 0)
     # a result that was found quickly is mostly found again, unless much depended on refining it
-    is_easy = first.rounds <= _HARD and not first.refining_paid
+    import os
+
+    is_easy = os.environ.get("EASY") is None and first.rounds <= _HARD and not first.refining_paid
     frugal = is_frugal(world)
     anew = 0 if frugal and is_easy else effort.restarts
     goes_on = effort.restarts_round if first.leads_round and not frugal else 0
@@ -130,9 +141,9 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
 def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: GoalPostures) -> bool:
     """Whether another search that is begun anew may find a motion that costs clearly less.
 
-    It is unlikely if one costs little, or little more than the lift to the lowest posture. For little work, also if
-    the last of the `costs` of searches from the same start is not much below the others: by a few per cent, and what
-    is worth another search. For another cost, if two of them are nearly equal to the least.
+    It is unlikely if one costs little, or little more than the lift to the lowest posture. For little work, also after
+    one of each kind, if the last of the `costs` of searches from the same start is not much below the others: by a few
+    per cent, and what is worth another search. For another cost, if two of them are nearly equal to the least.
     """
     if not world.work.effort.frugal:
         return True
@@ -144,4 +155,4 @@ def _may_find_less(costs: Sequence[float], world: World, start: Vector, found: G
         worth = lift.worth
     if not is_frugal(world):
         return sum(cost <= max((1.0 + _ALIKE) * least, least + worth) for cost in costs) < _AGREE
-    return len(costs) == 1 or costs[-1] < min((1.0 - _DULL) * min(costs[:-1]), min(costs[:-1]) - worth)
+    return len(costs) <= _KINDS or costs[-1] < min((1.0 - _DULL) * min(costs[:-1]), min(costs[:-1]) - worth)

@@ -49,6 +49,10 @@ class StraightLines:
         """Lines to postures that can be reached in `longest` [s]; of postures near each other only the soonest."""
         return self._to_each(self._ends.within(longest, _APART * longest))
 
+    def many_within(self, longest: float, *, most: int, alike: Vector) -> list[Start]:
+        """Lines to postures that can be reached in `longest` [s], see `GoalEnds.many_within`."""
+        return self._to_each(self._ends.many_within(longest, most=most, alike=alike))
+
     def least_blocked(self) -> list[int]:
         """Of the soonest postures the one with the least blocked line, if that line is clear enough; otherwise none."""
         part = np.linspace(0.0, 1.0, _PLACES)[:, None]

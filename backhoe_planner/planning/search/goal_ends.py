@@ -12,6 +12,9 @@ from backhoe_planner.planning.search.postures import find_distinct
 from backhoe_planner.proof import LeastTimes
 
 _LONGEST = 120.0  # s up to which least times are computed; chosen, above all motions between two postures
+# part of the longest time that two of many postures are apart at least, and the factor on it while they are too many;
+# chosen
+_APART, _FURTHER = 0.005, 1.4
 _SAME = 0.01  # rad or m: postures nearer than this count as one; chosen, less than a descent moves an end
 
 
@@ -63,6 +66,21 @@ class GoalEnds:
         """Postures reachable in `longest` [s]; of those not further than `apart` [s of joint time] only the soonest."""
         soon = [index for index in self.order if self.least[index] <= longest]
         return [soon[row] for row in find_distinct(self.at(soon) / self._rate, apart)]
+
+    def many_within(self, longest: float, *, most: int, alike: Vector) -> list[int]:
+        """Postures reachable in `longest` [s], at most `most`: of those near each other only the soonest.
+
+        Parameters
+        ----------
+        alike: (n,) how far each joint may turn or slide in a second that count alike [rad/s or m/s].
+        """
+        soon = [index for index in self.order if self.least[index] <= longest]
+        places, apart = self.at(soon) / alike, _APART * longest
+        found = find_distinct(places, apart)
+        while len(found) > most:
+            apart *= _FURTHER
+            found = find_distinct(places, apart)
+        return [soon[row] for row in found]
 
     def least_to(self, q: Vector) -> float:
         """A lower bound on the duration of any motion from the start to `q` (n,) [s]."""
