@@ -18,6 +18,15 @@ from .follower import PlanFollower as PlanFollower
 from .follower_state import FollowerState as FollowerState
 from .follower_state import FollowerStatus as FollowerStatus
 from .left_out import LeftOut as LeftOut
+from .planes.close_look import look_closely as look_closely
+from .planes.narrow_phase import is_exact_bound as is_exact_bound
+from .planes.narrow_phase import measure_gradients as measure_gradients
+from .planes.narrow_phase import measure_pair as measure_pair
+from .planes.narrow_phase import renew_plane as renew_plane
+from .planes.plane_gaps import bound_along as bound_along
+from .planes.plane_gaps import corner_rows as corner_rows
+from .planes.plane_gaps import gaps_at as gaps_at
+from .planes.plane_gaps import least_gaps_at as least_gaps_at
 from .planes.separation import Separation as Separation
 from .recordings import is_recording as is_recording
 from .recordings import plan_from_recording as plan_from_recording

@@ -8,7 +8,16 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner import Proximity, Robot, build_obstacles
 from backhoe_planner.arrays import Vector
-from backhoe_planner.live import BrakingPath, Placements, Separation
+from backhoe_planner.live import (
+    BrakingPath,
+    Placements,
+    Separation,
+    is_exact_bound,
+    least_gaps_at,
+    look_closely,
+    measure_pair,
+    renew_plane,
+)
 
 ROUND = {"name": "round", "shape": "sphere", "radius": 0.4, "position": [4.5, 1.0, 0.8]}
 
@@ -67,14 +76,14 @@ def test_kept_planes_bound_other_paths_until_the_obstacle_moves(backhoe: Robot) 
         for pair, least in zip(pairs.tolist(), true.tolist(), strict=True):
             enough = least - 0.03 if turn else math.inf
             before = separation.measured
-            bound, _ = separation.look_closely(pair, path, at, 0.0, enough=enough)
+            bound, _ = look_closely(separation, pair, path, at, 0.0, enough=enough)
             assert bound <= least + 2e-6
             if turn and bound >= enough and separation.measured == before:
                 tightest = min(tightest, least - bound)
     assert tightest < 0.03  # kept planes did prove paths
     shift[:] = 0.0, 0.0, 0.3
     before = separation.measured
-    separation.look_closely(int(pairs[0]), path, at, 0.0, enough=-1.0)
+    look_closely(separation, int(pairs[0]), path, at, 0.0, enough=-1.0)
     assert separation.measured > before
 
 
@@ -97,18 +106,18 @@ def test_a_bound_counts_as_exact_only_if_it_misses_less_than_the_tolerance(backh
         q, small = rng.uniform(-0.4, 0.4, 4) + np.array([0.2, 0.3, -0.9, -0.5]), turn < 8
         at.place(0, q)
         pairs = range(len(separation))
-        before = [separation.renew(pair, at, 0) for pair in pairs]
-        assert all(separation.is_exact(pair, at, 0, before[pair], 1e-6) for pair in pairs if before[pair] > 0.0)
+        before = [renew_plane(separation, pair, at, 0) for pair in pairs]
+        assert all(is_exact_bound(separation, pair, at, 0, before[pair], 1e-6) for pair in pairs if before[pair] > 0.0)
         at.place(0, q + (0.003 if small else 0.1) * rng.normal(size=4))
-        for pair, bound in zip(pairs, separation.least_gaps(np.array(pairs), at, 0).tolist(), strict=True):
-            true, *_ = separation.measure(pair, at, 0)
-            exact = separation.is_exact(pair, at, 0, bound, 1e-3)
+        for pair, bound in zip(pairs, least_gaps_at(separation, np.array(pairs), at, 0).tolist(), strict=True):
+            true, *_ = measure_pair(separation, pair, at, 0)
+            exact = is_exact_bound(separation, pair, at, 0, bound, 1e-3)
             assert not exact or bound >= true - 1e-3 - 2e-6
             if small and true > 0.0:
                 said.append(exact)
     assert np.mean(said) > 0.5
     separation.velocity[:] = 0.1
-    assert not any(separation.is_exact(pair, at, 0, np.inf, 1e-3) for pair in pairs)
+    assert not any(is_exact_bound(separation, pair, at, 0, np.inf, 1e-3) for pair in pairs)
 
 
 @pytest.mark.parametrize(
@@ -134,10 +143,10 @@ def test_the_planes_of_links_that_swing_over_level_ground_stay_exact(backhoe: Ro
     separation.place_at(0, np.zeros(3))
     q = np.array([0.0, 0.5, -1.2, -0.6])
     at.place(0, q)
-    before = [separation.renew(pair, at, 0) for pair in pairs.tolist()]
+    before = [renew_plane(separation, pair, at, 0) for pair in pairs.tolist()]
     q[0] = 0.8
     at.place(0, q)
     for pair, distance in zip(pairs.tolist(), before, strict=True):
-        assert separation.measure(pair, at, 0)[0] == pytest.approx(distance, abs=1e-6)
-        assert separation.is_exact(pair, at, 0, distance, 1e-5)
-        assert not separation.is_exact(pair, at, 0, distance - 0.01, 1e-5)
+        assert measure_pair(separation, pair, at, 0)[0] == pytest.approx(distance, abs=1e-6)
+        assert is_exact_bound(separation, pair, at, 0, distance, 1e-5)
+        assert not is_exact_bound(separation, pair, at, 0, distance - 0.01, 1e-5)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from backhoe_planner import InputError, Kinematics, Plan, PlanFollower, Robot, Scene, Servo, plan, scene_from_dict
-from backhoe_planner.live import Placements, RejoiningQuery, Separation
+from backhoe_planner.live import Placements, RejoiningQuery, Separation, renew_plane
 from backhoe_planner.site import Obstacle, Proximity, build_obstacles, with_carried
 
 ROD, THICK = 1.2, 0.05  # m: how far the rod sticks out of the bucket to the left, and its radius
@@ -144,7 +144,7 @@ def test_pairs_and_distances_are_those_of_the_laden_machine(backhoe: Robot) -> N
         for _ in range(4):
             q = backhoe.random_q(rng)
             at.place(0, q)
-            found = [separation.renew(pair, at, 0) for pair in counting.tolist()]
+            found = [renew_plane(separation, pair, at, 0) for pair in counting.tolist()]
             np.testing.assert_allclose(np.sort(found), np.sort(proximity.distances(q)), atol=2e-6)
 
 

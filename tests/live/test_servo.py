@@ -24,7 +24,14 @@ from backhoe_planner.live import (
     Separation,
     Servo,
     Status,
+    bound_along,
+    corner_rows,
+    gaps_at,
+    look_closely,
+    measure_gradients,
+    measure_pair,
     refused_part,
+    renew_plane,
     way_back,
 )
 from backhoe_planner.machine import Robot, bend_weights
@@ -126,7 +133,7 @@ def test_no_corner_deviates_from_the_chord_by_more_than_its_bound(backhoe: Robot
             at.place(sample, q + 0.5 * sample * delta)
         normal = rng.normal(size=3)
         separation.planes[pairs] = *(normal / np.linalg.norm(normal)), 0.0
-        gaps = separation.gaps(pairs, at, 3).all
+        gaps = gaps_at(separation, pairs, at, 3).all
         off = np.abs(gaps[:, 1] - 0.5 * (gaps[:, 0] + gaps[:, 2])).max(axis=1)
         bound = (separation.travel @ bend_weights(delta, separation.turning))[separation.classes[pairs]] / 8.0
         assert np.all(off <= bound + 1e-12)
@@ -159,9 +166,9 @@ def test_gaps_equal_coals_distance_where_measured_and_never_exceed_it_elsewhere(
     for _ in range(12):
         q = any_robot.random_q(rng)
         at.place(0, q)
-        before = separation.gaps(everything, at, 1).all[:, 0].min(axis=1)
-        found = np.array([separation.renew(pair, at, 0) for pair in everything.tolist()])
-        after = separation.gaps(everything, at, 1).all[:, 0].min(axis=1)
+        before = gaps_at(separation, everything, at, 1).all[:, 0].min(axis=1)
+        found = np.array([renew_plane(separation, pair, at, 0) for pair in everything.tolist()])
+        after = gaps_at(separation, everything, at, 1).all[:, 0].min(axis=1)
         np.testing.assert_allclose(after, found, atol=2e-6)
         assert np.all(before <= found + 2e-6)
         np.testing.assert_allclose(np.sort(found), np.sort(proximity.distances(q)), atol=2e-6)
@@ -181,16 +188,16 @@ def test_constraint_rows_equal_central_differences(any_robot: Robot) -> None:
     q = any_robot.random_q(rng)
     at.place(0, q)
     for pair in pairs.tolist():
-        separation.renew(pair, at, 0)
-    corner = separation.gaps(pairs, at, 1).all[:, 0].argmin(axis=1)
-    rows = separation.rows(pairs, np.zeros(len(pairs), dtype=np.intp), corner, at)
+        renew_plane(separation, pair, at, 0)
+    corner = gaps_at(separation, pairs, at, 1).all[:, 0].argmin(axis=1)
+    rows = corner_rows(separation, pairs, np.zeros(len(pairs), dtype=np.intp), corner, at)
     for joint in range(any_robot.n):
         step = np.zeros(any_robot.n)
         step[joint] = 1e-6
         aside.place(0, q + step)
-        ahead = separation.gaps(pairs, aside, 1).all[:, 0][pairs, corner]
+        ahead = gaps_at(separation, pairs, aside, 1).all[:, 0][pairs, corner]
         aside.place(0, q - step)
-        behind = separation.gaps(pairs, aside, 1).all[:, 0][pairs, corner]
+        behind = gaps_at(separation, pairs, aside, 1).all[:, 0][pairs, corner]
         np.testing.assert_allclose(rows[:, joint], -(ahead - behind) / 2e-6, atol=1e-7)
 
 
@@ -215,12 +222,12 @@ def test_the_proven_bound_of_a_path_never_exceeds_its_measured_distance(backhoe:
         at.place(0, path.q)
         path.place(at)
         for pair in pairs.tolist():
-            separation.renew(pair, at, 0)
-        bound, _ = separation.least_on(pairs, path, at, 0.0)
+            renew_plane(separation, pair, at, 0)
+        bound, _ = bound_along(separation, pairs, path, at, 0.0)
         true = np.min([proximity.distances(path.q + s * path.delta) for s in np.linspace(0.0, 1.0, 60)], axis=0)
         assert np.all(bound <= true + 2e-6)
         for pair in pairs.tolist():
-            closer = separation.closer_look(pair, path, at, 0.0)
+            closer, _ = look_closely(separation, pair, path, at, 0.0)
             assert closer <= true[pair] + 2e-6
             tightest = min(tightest, float(true[pair] - closer))
     assert tightest < 0.01
@@ -558,10 +565,10 @@ def test_gradients_of_penetrating_pairs_equal_central_differences(backhoe: Robot
 
         def distances(where: Vector, separation: Separation = separation, at: Any = at, pairs: Any = pairs) -> Vector:
             at.place(0, where)
-            return np.array([separation.measure(pair, at, 0)[0] for pair in pairs.tolist()])
+            return np.array([measure_pair(separation, pair, at, 0)[0] for pair in pairs.tolist()])
 
         at.place(0, q)
-        found, falls = separation.gradients(pairs, at, 0)
+        found, falls = measure_gradients(separation, pairs, at, 0)
         numeric = np.array([(distances(q - step) - distances(q + step)) / 2e-5 for step in 1e-5 * np.eye(4)]).T
         smooth = np.abs(distances(q + 1e-5) + distances(q - 1e-5) - 2.0 * found) < 1e-7
         np.testing.assert_allclose(falls[smooth], numeric[smooth], atol=2e-3)

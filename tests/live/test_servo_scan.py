@@ -18,6 +18,7 @@ from backhoe_planner.live.boxes.box_places import MOST_PARTS, Line, box_urgency,
 from backhoe_planner.live.boxes.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.braking_path import JointState
 from backhoe_planner.live.clearance import pair_bounds
+from backhoe_planner.live.planes import cluster_boxes, plane_gaps
 from backhoe_planner.live.planes.pair_choice import stalest_pair
 from backhoe_planner.live.planes.separation import Separation
 from backhoe_planner.machine import Robot
@@ -138,12 +139,13 @@ def test_a_step_builds_no_grids_and_replaces_at_most_two_sets_of_boxes(
     def must_not(*_: object, **__: object) -> None:
         raise AssertionError("this takes longer than a step may")
 
-    def count(self: Separation, *args: Any, **kwargs: Any) -> np.ndarray:
+    def count(*args: Any) -> np.ndarray:
         measured[-1] += 1
-        return put(self, *args, **kwargs)
+        return put(*args)
 
-    put = Separation.put_boxes
-    monkeypatch.setattr(Separation, "put_boxes", count)
+    put = cluster_boxes.put_boxes
+    for module in (cluster_boxes, pair_bounds):
+        monkeypatch.setattr(module, "put_boxes", count)
     for kind in (Tiles, DistanceGrid, GridFrame):
         monkeypatch.setattr(kind, "__init__", must_not)
     for _ in range(1500):
@@ -212,7 +214,7 @@ def test_a_links_motion_in_several_steps_and_braking_stays_within_its_bound(back
 def placed_corners(separation: Separation, one: ClusterPairs, at: Placements, q: np.ndarray) -> np.ndarray:
     """(V, 3) corners of a link in the world [m]."""
     at.place(MOST_PARTS, q)
-    T = at.T[MOST_PARTS, separation.own_pieces[one.piece].joint]
+    T = at.T[MOST_PARTS, separation.own.pieces[one.piece].joint]
     return np.asarray(one.own.hull @ T[:3, :3].T + T[:3, 3])
 
 
@@ -287,7 +289,7 @@ def test_a_swung_links_distance_from_the_place_of_its_boxes_is_the_chord(backhoe
         at.place(0, q + np.array([angle, 0.0, 0.0, 0.0]))
         moved = separation.places.moved(at.T[:1])[0]
         for one, far in zip(separation.counting_clusters, moved.tolist(), strict=True):
-            own = separation.own_pieces[one.piece]
+            own = separation.own.pieces[one.piece]
             corners = np.array([data.oMi[own.joint].act(corner) for corner in own.piece.hull])
             from_axis = np.linalg.norm(corners[:, :2] - data.oMi[1].translation[:2], axis=1).max()
             assert far == pytest.approx(2.0 * from_axis * np.sin(abs(angle) / 2.0))
@@ -302,13 +304,13 @@ def test_checking_distant_pairs_less_often_hardly_changes_the_motion(
     found = []
     for anew in (pair_bounds._SEEN_ANEW, -1.0):
         monkeypatch.setattr(pair_bounds, "_SEEN_ANEW", anew)
-        asked, ask = [0], Separation.near_gaps
+        asked, ask = [0], plane_gaps.gaps_here
 
-        def count(self: Separation, *args: Any, ask: Any = ask, asked: list[int] = asked, **kwargs: Any) -> Any:
+        def count(*args: Any, ask: Any = ask, asked: list[int] = asked) -> Any:
             asked[0] += 1
-            return ask(self, *args, **kwargs)
+            return ask(*args)
 
-        monkeypatch.setattr(Separation, "near_gaps", count)
+        monkeypatch.setattr(pair_bounds, "gaps_here", count)
         servo = Servo(backhoe, scene_from_dict(SCENE))
         servo.add_points("scan", ground_and_wall(np.random.default_rng(6)), resolution=0.1)
         gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
@@ -348,7 +350,7 @@ def test_boxes_found_bit_by_bit_cover_as_much_as_those_found_at_once_and_bound_d
         q = np.array(START) + rng.normal(0.0, 0.15, 4)
         for one in separation.counting_clusters:
             at.place(0, q)
-            once = separation.find_boxes(one, at, 0, reach=0.6, exact=0.4, slack=0.15, is_new=True)
+            once = cluster_boxes.find_boxes(separation, one, at, 0, reach=0.6, exact=0.4, slack=0.15, is_new=True)
             assert once is not None
             covered, nearest = one.covered, one.nearest
             if one.was_inside or not bounds.search_boxes(one, at, reach=0.6):
@@ -380,7 +382,7 @@ def test_new_boxes_that_prove_less_of_the_path_give_way_to_the_previous_ones(
     servo.add_points("scan", ground_and_wall(np.random.default_rng(7)), resolution=0.1)
     separation, bounds, at, q = servo._separation, servo._bounds, Placements(backhoe, 18), np.array(START)
     path = servo._check.path(q, np.array([0.5, 0.5, 0.5, 0.5]), step=False)
-    monkeypatch.setattr(Separation, "proven_on", lambda _, pairs, *__: np.full(len(pairs), 0.01))
+    monkeypatch.setattr(pair_bounds, "proven_along", lambda _, pairs, *__: np.full(len(pairs), 0.01))
     at.place(0, q)
     put_back = 0
     for one in separation.counting_clusters:
@@ -394,7 +396,7 @@ def test_new_boxes_that_prove_less_of_the_path_give_way_to_the_previous_ones(
         now = separation.planes, bounds.lower(), bounds.required, np.array([one.covered, one.boxes])
         if separation.measured > measured and all(np.array_equal(*both) for both in zip(now, before, strict=True)):
             put_back += 1
-            boxes = [separation._body[pair] for pair in one.pairs.tolist()[: one.boxes]]
+            boxes = [separation.body[pair] for pair in one.pairs.tolist()[: one.boxes]]
             assert None not in boxes
             assert all(separation._bodies_of[one.number].count(body) == 1 for body in boxes if body is not None)
     assert put_back >= 2

@@ -16,7 +16,7 @@ _NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, 
 
 
 class Memory:
-    """Memory for `Separation.gaps`, which are overwritten in every step and change their size."""
+    """Memory for the gaps of `gaps_at`, which are overwritten in every step and change their size."""
 
     def __init__(self) -> None:
         self._gaps = np.zeros(0)

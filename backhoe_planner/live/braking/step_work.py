@@ -12,7 +12,7 @@ from typing import NamedTuple
 MOST_DISTANCES = 45  # measured by coal in a step, some 10 to 30 us each with its use; an ordinary step has up to 2
 MOST_NEAR = 128  # pairs that act on the wish, plus all that slow down; chosen, an arm among people has up to 100
 MOST_TOLD = 4  # pairs that are measured after a step to tell which one is too close; chosen
-CLOSER_LOOK = 4  # distances for one pair with a plane for each part of its path, see `Separation.closer_look`
+CLOSER_LOOK = 4  # distances for one pair with a plane for each part of its path, see `look_closely`
 
 
 class StepWork(NamedTuple):

@@ -15,6 +15,8 @@ from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds
 from backhoe_planner.live.clearance.pair_bounds import PairBounds
+from backhoe_planner.live.planes.narrow_phase import renew_plane
+from backhoe_planner.live.planes.plane_gaps import gaps_at
 from backhoe_planner.live.planes.separation import Separation
 from backhoe_planner.machine import Robot
 
@@ -78,11 +80,11 @@ class ApproachCheck:
             if one.speed > 0.0:  # its boxes are only known near the machine
                 return int(one.pairs[0])
         pairs = (~self._bounds.stands).nonzero()[0]
-        before = [each[pairs] for each in separation.of_boxes]
+        before = [each[pairs] for each in separation.plane_columns]
         try:
             return self._look_along(pairs, places, turn, time) if len(pairs) else -1
         finally:  # the planes that were measured where the machine is are of more use to the next steps
-            for each, kept in zip(separation.of_boxes, before, strict=True):
+            for each, kept in zip(separation.plane_columns, before, strict=True):
                 each[pairs] = kept
 
     def _look_along(self, pairs: Indices, places: Matrix, turn: Vector, time: float) -> int:
@@ -92,18 +94,18 @@ class ApproachCheck:
         off = 0.5 * np.abs(np.diff(places, axis=0)) + turn
         between = separation.travel.dot(off.T).max(axis=1, initial=0.0)
         needed = separation.clearance.take(pairs) + between.take(separation.classes.take(pairs))
-        margins = separation.gaps(pairs, at, count).least - needed[:, None]
+        margins = gaps_at(separation, pairs, at, count).least - needed[:, None]
         margins += time * np.minimum(separation.drift.take(pairs), 0.0)[:, None]
         for _ in range(_MOST_MEASURED):
             row, place = np.unravel_index(int(margins.argmin()), margins.shape)
             if margins[row, place] >= 0.0:
                 return -1
             pair = int(pairs[row])
-            distance = separation.renew(pair, at, int(place))
+            distance = renew_plane(separation, pair, at, int(place))
             comes = time * min(float(separation.drift[pair]), 0.0) - float(needed[row])
             if distance + comes < 0.0:
                 return pair
-            anew = separation.gaps(pairs[row : row + 1], at, count).least[0]
+            anew = gaps_at(separation, pairs[row : row + 1], at, count).least[0]
             margins[row] = np.maximum(margins[row], anew + comes)
             margins[row, place] = distance + comes
         return pair

@@ -24,7 +24,11 @@ from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 from backhoe_planner.live.braking.odometers import count_travel, keep_proven
 from backhoe_planner.live.braking.step_work import MOST_NEAR
+from backhoe_planner.live.planes.close_look import proven_along
+from backhoe_planner.live.planes.cluster_boxes import find_boxes, keep_boxes, put_back_boxes, put_boxes, search_boxes
+from backhoe_planner.live.planes.narrow_phase import is_exact_bound, renew_plane
 from backhoe_planner.live.planes.pair_choice import margins_now, near_now, not_proven, stalest_pair, tightest_pair
+from backhoe_planner.live.planes.plane_gaps import gaps_here
 from backhoe_planner.live.planes.separation import FAR, Separation
 from backhoe_planner.site import pace
 
@@ -203,10 +207,10 @@ class PairBounds:
         """Measure `pairs` that are new or were moved, and note their distances over the braking path."""
         separation = self._separation
         self._search = None
-        self.set_distance(pairs, np.array([separation.renew(pair, at, 0) for pair in pairs.tolist()]))
+        self.set_distance(pairs, np.array([renew_plane(separation, pair, at, 0) for pair in pairs.tolist()]))
         self._note_renewed(pairs)
         parts = [pairs[first : first + _AT_ONCE] for first in range(0, len(pairs), _AT_ONCE)]
-        bound = np.concatenate([separation.proven_on(part, path, at, path.time) for part in parts])
+        bound = np.concatenate([proven_along(separation, part, path, at, path.time) for part in parts])
         self.set_proven(pairs, bound)
         self.required[pairs] = np.minimum(separation.clearance[pairs], bound)
         self.find_inside()
@@ -246,7 +250,7 @@ class PairBounds:
         near = pairs[self.lower()[pairs] < separation.full_clearance[pairs] + _PREPARED_WITHIN]
         moved = self._start_odometer[separation.classes[near]] - self._renewed_at[near]
         for pair in near[np.argsort(-moved, kind="stable")[:_PREPARED_AT_ONCE]].tolist():
-            self.set_distance(np.array([pair]), np.array([separation.renew(pair, at, 0)]))
+            self.set_distance(np.array([pair]), np.array([renew_plane(separation, pair, at, 0)]))
             self._note_renewed(pair)
 
     def find_boxes(self, one: ClusterPairs, at: Placements, *, reach: float, path: BrakingPath | None = None) -> None:
@@ -266,8 +270,8 @@ class PairBounds:
 
     def search_boxes(self, one: ClusterPairs, at: Placements, *, reach: float) -> bool:
         """Begin to find these boxes bit by bit in the following steps; False if they have to be found at once."""
-        search = self._separation.search_boxes(
-            one, at, 0, reach=reach, exact=one.clearance + self.influence, slack=SLACK
+        search = search_boxes(
+            self._separation, one, at, 0, reach=reach, exact=one.clearance + self.influence, slack=SLACK
         )
         self._search = None if search is None else (search, float(self._start_odometer[one.classes]))
         return search is not None
@@ -286,17 +290,17 @@ class PairBounds:
             return
         self._search = None
         one, kept = search.one, float(self.required[search.one.pairs].min())
-        before = self._separation.keep_boxes(one, self._of_boxes)
+        before = keep_boxes(self._separation, one, self._of_boxes)
         boxes = one.take(found, search.reach, search.found_at)
         if one.nearest <= 0.0:  # a link inside something needs the full search
             self.find_boxes(one, at, reach=search.reach, path=path)
             return
         came, separation = float(self._start_odometer[one.classes]) - odometer, self._separation
-        self.set_distance(one.pairs, separation.put_boxes(one, boxes) - came)
+        self.set_distance(one.pairs, put_boxes(separation, one, boxes) - came)
         self._note_renewed(one.pairs)
         self._prove_boxes(one, kept, at, reach=search.reach, path=path)
         if one in self.short:  # the previous boxes cover the path, and any motion until boxes are checked again
-            separation.put_back(one, before, self._of_boxes)
+            put_back_boxes(separation, one, before, self._of_boxes)
             self._look_at_all()
             self.short.remove(one)
             self.find_inside()
@@ -304,7 +308,7 @@ class PairBounds:
     @property
     def _of_boxes(self) -> tuple[Array, ...]:
         """The data of all pairs that change with their boxes."""
-        return *self._separation.of_boxes, self._distance, self._renewed_at, self._proven, self.required
+        return *self._separation.plane_columns, self._distance, self._renewed_at, self._proven, self.required
 
     def _prove_boxes(self, one: ClusterPairs, kept: float, at: Placements, *, reach: float, path: BrakingPath) -> None:
         """Note the distances that are proven for new boxes over the present braking path.
@@ -327,7 +331,7 @@ class PairBounds:
             return
         at_rest = not path.delta.any()
         path.place(at)
-        bound = separation.proven_on(pairs, path, at, path.time)
+        bound = proven_along(separation, pairs, path, at, path.time)
         if bound.min() < kept - TOLERANCE:
             # a box is nearer than all its cells. Without slack none is nearer here, but that needs more boxes, and
             # elsewhere on the path one may still be nearer, so they are only of use if they cover as much
@@ -335,7 +339,7 @@ class PairBounds:
             self._put_boxes(one, at, reach, slack=0.0)
             if one.covered < covered and not at_rest:
                 self._put_boxes(one, at, reach)
-            bound = separation.proven_on(pairs, path, at, path.time)
+            bound = proven_along(separation, pairs, path, at, path.time)
         self.set_proven(pairs, bound)
         # boxes may contain more than the cells do: what was proven for the cells remains proven
         keeps = np.maximum(bound, kept)
@@ -355,8 +359,8 @@ class PairBounds:
 
         False if there are none, as before.
         """
-        found = self._separation.find_boxes(
-            one, at, 0, reach=reach, exact=one.clearance + self.influence,
+        found = find_boxes(
+            self._separation, one, at, 0, reach=reach, exact=one.clearance + self.influence,
             is_new=is_new, slack=slack,
         )  # fmt: skip
         if found is None:
@@ -433,7 +437,7 @@ class PairBounds:
         if len(old) > _MOST_MOVERS:
             old = old[np.argpartition(-moved[old], _MOST_MOVERS - 1)[:_MOST_MOVERS]]
         again = pairs[old]
-        self._distance[again] = counted[old] + [separation.renew(pair, at, 0) for pair in again.tolist()]
+        self._distance[again] = counted[old] + [renew_plane(separation, pair, at, 0) for pair in again.tolist()]
         self._renewed_at[again] = counted[old]
         return self._near(near.q, at)
 
@@ -451,7 +455,7 @@ class PairBounds:
         if len(pairs) > MOST_NEAR:
             kept, left_out = self._tightest_of(pairs, lower - separation.clearance.take(pairs))
             pairs, lower, counted = pairs[kept], lower[kept], counted[kept]
-        gaps, distance, margin = separation.near_gaps(pairs, lower, counted, at, self._distance)
+        gaps, distance, margin = gaps_here(separation, pairs, lower, counted, at, self._distance)
         return Near(q, pairs, gaps, distance, margin, *left_out)
 
     def _tightest_of(self, pairs: Indices, margin: Vector) -> tuple[Flags, tuple[int, float]]:
@@ -531,8 +535,8 @@ class PairBounds:
             return
         counted = self._start_odometer[separation.classes[pair]]
         bound = float(self._distance[pair] - counted)
-        if not (self._renewed_at[pair] > -math.inf and separation.is_exact(pair, at, 0, bound, _EXACT)):
-            self._distance[pair] = separation.renew(pair, at, 0) + counted
+        if not (self._renewed_at[pair] > -math.inf and is_exact_bound(separation, pair, at, 0, bound, _EXACT)):
+            self._distance[pair] = renew_plane(separation, pair, at, 0) + counted
             self._seen = None, 0.0
         self._renewed_at[pair] = counted
 

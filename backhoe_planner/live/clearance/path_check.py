@@ -26,7 +26,10 @@ from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory, left_over_p
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE, JointBounds
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, MOST_TOLD, StepWork
 from backhoe_planner.live.clearance.pair_bounds import Awake, PairBounds
+from backhoe_planner.live.planes.close_look import look_closely
+from backhoe_planner.live.planes.narrow_phase import renew_plane
 from backhoe_planner.live.planes.path_rows import rows_of_path
+from backhoe_planner.live.planes.plane_gaps import bound_along, gaps_along, gaps_at, path_row_arguments
 from backhoe_planner.live.planes.separation import Separation
 
 MOST_CANDIDATES = 24  # rows of one kind, among which the binding ones are searched; chosen
@@ -122,14 +125,14 @@ class PathCheck:
         separation, at = self.separation, self.at
         required, stands = self.bounds.required, self.bounds.stands
         drift_time = path.time if self.bounds.anything_moves else 0.0
-        gaps, bound, left, short = separation.look_along(
-            pairs, path, at, drift_time, required=required, tolerance=TOLERANCE, memory=self._memory
+        gaps, bound, left, short = gaps_along(
+            separation, pairs, path, at, drift_time, required=required, tolerance=TOLERANCE, memory=self._memory
         )
         closely = np.zeros(len(pairs), dtype=np.intp)
         if not in_halves and len(short) and self._may_be_bent(pairs, short, left, path, by_rows=by_rows):
             path.halve(at)
             in_halves = True
-            bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
+            bound, gaps = bound_along(separation, pairs, path, at, drift_time, memory=self._memory)
             # a plane that was kept until it fell short is old: it would hold the machine back needlessly
             left, short = left_over_path(pairs, bound, required, -BUFFER)
         if len(short):
@@ -186,18 +189,18 @@ class PathCheck:
             return
         until, enough = separation.measured + left, (required + BUFFER).tolist()
         for row in again.tolist():
-            separation.renew(int(pairs[row]), at, int(gaps.least[row].argmin()))
-        better, anew = separation.least_on(pairs[again], path, at, drift_time)
+            renew_plane(separation, int(pairs[row]), at, int(gaps.least[row].argmin()))
+        better, anew = bound_along(separation, pairs[again], path, at, drift_time)
         gaps.put(again, anew)
         bound[again] = np.maximum(bound[again], better)
         for row in again[(better < required[again] - TOLERANCE) & stands[again]].tolist():
             if separation.measured + CLOSER_LOOK > until:
                 break
-            closer, tightest = separation.look_closely(int(pairs[row]), path, at, 0.0, enough=enough[row])
+            closer, tightest = look_closely(separation, int(pairs[row]), path, at, 0.0, enough=enough[row])
             bound[row], closely[row] = max(bound[row], closer), max(tightest, 1)
         looked = closely.nonzero()[0]
         if len(looked):
-            gaps.put(looked, separation.gaps(pairs[looked], at, path.parts + 1))
+            gaps.put(looked, gaps_at(separation, pairs[looked], at, path.parts + 1))
         self.bounds.renew_soon(pairs[again])
 
     def keep(self, path: BrakingPath) -> None:
@@ -216,7 +219,7 @@ class PathCheck:
         separation, ((pairs, budget), path, found) = self.separation, self._last
         return (
             pairs, *found.gaps, found.bound, found.closely, self.bounds.required, separation.classes,
-            path.off_chord(separation.travel), budget, None, _RULES, *separation.of_rows(self.at),
+            path.off_chord(separation.travel), budget, None, _RULES, *path_row_arguments(separation, self.at),
             path.parts, path.q, path.end,
         )  # fmt: skip
 
@@ -281,7 +284,7 @@ class PathCheck:
         """The pairs (R,) whose corners could bind along a path, and their rows; see `rows`."""
         separation, (pairs, budget), bounds = self.separation, awake, self.bounds
         of = path if now is None else now
-        planes, joint, other, piece, corners, mask, T, J, drift = separation.of_rows(self.at)
+        planes, joint, other, piece, corners, mask, T, J, drift = path_row_arguments(separation, self.at)
         return rows_of_path(
             pairs, *found.gaps, found.bound, found.closely, bounds.required, separation.classes,
             path.off_chord(separation.travel), budget, bounds.stands if firm else None, _RULES,

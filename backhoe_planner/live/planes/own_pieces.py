@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import LinkPiece, Robot, self_pairs, self_pieces
 
 NO_LOAD = -1  # load number of what is always there
@@ -30,38 +30,18 @@ class OwnPieces:
     load_of_pair: tuple[int, ...]
     rows_of_load: tuple[tuple[int, ...], ...]
 
-    def corners(self) -> Array:
-        """(M, V, 4) corners of the pieces that move, with a 1 appended to each; other pieces are never used [m]."""
-        that_move = [row for row, piece in enumerate(self.pieces) if piece.joint > 0]
-        most = max((len(self.pieces[row].piece.hull) for row in that_move), default=1)
-        found = np.full((len(self.pieces), most, 4), np.nan)
-        for row in that_move:
-            hull = self.pieces[row].piece.hull
-            found[row] = (*hull[0], 1.0)  # padded with the first corner if other pieces have more
-            found[row, : len(hull), :3] = hull
-        return found
 
-    def radii_of_pairs(self, robot: Robot, radii: Matrix) -> list[Vector]:
-        """For each pair the travel `radii` (M, n) of the outer piece, with 0 for joints that move both alike."""
-        joints = [self.pieces[inner].joint for _, inner in self.pairs]
-        both = zip(self.pairs, joints, strict=True)
-        return [np.where(robot.support[joint] > 0.0, 0.0, radii[outer]) for (outer, _), joint in both]
-
-    def load_of_rows(self) -> dict[int, int]:
-        """For each row of a load the load's number; the machine's own rows are not included."""
-        return {row: load for load, rows in enumerate(self.rows_of_load) for row in rows}
-
-
-def own_pieces(
-    robot: Robot, laden: Sequence[Robot], posture: tuple[float, ...] | None, *, self_collision: bool
-) -> OwnPieces:
+def own_pieces(robot: Robot, laden: Sequence[Robot], q: Vector | None, *, self_collision: bool) -> OwnPieces:
     """The pieces of `robot` and of what it carries in each of `laden`, which are otherwise the same machine.
 
     Parameters
     ----------
-    posture: as in `self_pairs`.
+    q: (n,) where it begins [rad or m]. A q outside the joint limits extends the joints' ranges, see `self_pairs`.
     self_collision: whether the machine is kept clear of itself, and its loads of the machine.
     """
+    posture = None
+    if q is not None and np.any((q < robot.limits.lower) | (q > robot.limits.upper)):
+        posture = tuple(q.tolist())
     pieces = list(self_pieces(robot) if self_collision else robot.pieces)
     pairs = list(self_pairs(robot, posture).kept if self_collision else ())
     loads, rows_of_load = [NO_LOAD] * len(pairs), []

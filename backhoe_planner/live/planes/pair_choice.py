@@ -1,34 +1,13 @@
-"""The choice of the pairs to examine in a step: near ones, those without a proven braking path, the stalest one.
-
-Also how far apart the bodies of a pair are.
-"""
+"""The choice of the pairs to examine in a step: near ones, those without a proven braking path, the stalest one."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.arrays import Indices, Vector
 from backhoe_planner.native import compiled
 
 _EMPTY = np.zeros(0)
-
-
-class Measured(NamedTuple):
-    """The measurement of a pair.
-
-    Attributes
-    ----------
-    distance: signed [m].
-    normal, offset: (3,) and [m] of the plane, in the frame of the other body.
-    point: (3,) the nearest point of the link [m], world.
-    """
-
-    distance: float
-    normal: Vector
-    offset: float
-    point: Vector
 
 
 @compiled
@@ -124,55 +103,3 @@ def tightest_pair(
     margins = margins_now(pairs, distance, clearance, classes, odometer)
     row = int(margins.argmin())
     return int(pairs[row]), float(margins[row])
-
-
-@compiled
-def known_apart(
-    pair: int,
-    joint: Indices,
-    other: Indices,
-    velocity: Matrix,
-    points: Matrix,
-    faces: Matrix,
-    shift: Vector,
-    T: Array,
-    /,
-) -> float:
-    """Upper bound of the distance of a pair's bodies, from the last measurement [m]; infinite if unknown.
-
-    It follows from the two points of that measurement, and from the distance of the link's point from the obstacle's
-    piece, if that is a box or a half-space.
-
-    Parameters
-    ----------
-    joint, other, velocity: (P,), (P,), (P, 3) of all pairs, see `Separation`. For a moving obstacle nothing is known.
-    points: (P, 6) the points of the link and of the other body, each in the frame of its body [m]; nan if unknown.
-    faces: (P, 15) see `faces_of`; shift: (3,) of the obstacle from where these are [m].
-    T: (joints, 4, 4) poses of all bodies.
-    """
-    if velocity[pair].any():
-        return np.inf
-    own, there = T[joint[pair]], T[other[pair]]
-    point = own[:3, :3].dot(points[pair, :3]) + own[:3, 3]
-    apart = point - there[:3, :3].dot(points[pair, 3:]) - there[:3, 3]
-    axes, middle, half = faces[pair, :9].reshape(3, 3), faces[pair, 9:12], faces[pair, 12:]
-    off = np.maximum(np.abs((point - shift - middle).dot(axes)) - half, 0.0)
-    return float(np.fmin(np.fmin(np.sqrt(apart.dot(apart)), np.sqrt(off.dot(off))), np.inf))
-
-
-@compiled
-def hulls_apart(
-    corners: Matrix, fat: float, T: Matrix, other: Matrix, other_fat: float, shift: Vector, T_other: Matrix, /
-) -> tuple[float, Vector, float, Vector] | None:
-    """The distance of two bodies that are hulls of corners with a radius each, and the rest of `Measured`.
-
-    None if coal is needed: if they touch or nearly do, if one has no corners, and always in plain Python.
-
-    Parameters
-    ----------
-    corners: (V, 4) of the link, in the frame of its body; only the first three numbers count [m].
-    fat, other_fat: the radii [m].
-    T, T_other: (4, 4) poses of the bodies.
-    other: (W, 3) or (W, 4) corners of the other body in its frame, before a `shift` (3,) is added [m].
-    """
-    return None

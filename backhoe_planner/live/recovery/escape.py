@@ -34,6 +34,8 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import Placements
+from backhoe_planner.live.planes.narrow_phase import measure_gradients
+from backhoe_planner.live.planes.plane_gaps import least_gaps_at
 from backhoe_planner.live.planes.separation import Separation
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
 from backhoe_planner.machine import JointLimits, Robot
@@ -183,7 +185,7 @@ class EscapeSearch:
         close = (least < self._clearance + max(margin, _BEYOND)).nonzero()[0]
         self._at.place(0, q)
         if len(close):  # the planes bound the distances everywhere
-            gaps = self._separation.least_gaps(self._pairs[close], self._at, 0)
+            gaps = least_gaps_at(self._separation, self._pairs[close], self._at, 0)
             least[close] = self._distance[close] = np.maximum(least[close], gaps)
             self._seen_at[close] = q
             close = close[gaps < self._clearance[close] + max(margin, _BEYOND)]
@@ -193,7 +195,7 @@ class EscapeSearch:
             some = slice(first, first + _AT_ONCE)
             if first:
                 yield
-            distance[some], falls[some] = self._separation.gradients(self._pairs[close[some]], self._at, 0)
+            distance[some], falls[some] = measure_gradients(self._separation, self._pairs[close[some]], self._at, 0)
             self.looked += len(close[some])
         least[close] = distance
         self._distance[close], self._seen_at[close] = distance, q

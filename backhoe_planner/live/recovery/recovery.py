@@ -52,6 +52,9 @@ from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK
 from backhoe_planner.live.clearance.pair_bounds import Awake
 from backhoe_planner.live.clearance.path_check import PathCheck
+from backhoe_planner.live.planes.close_look import proven_along
+from backhoe_planner.live.planes.narrow_phase import measure_gradients
+from backhoe_planner.live.planes.plane_gaps import least_gaps_at
 from backhoe_planner.live.recovery.escape import EscapeRoute, EscapeSearch, RouteSearch
 from backhoe_planner.live.recovery.violation_descent import SMALLEST, by_owner, way_back
 from backhoe_planner.machine import Robot
@@ -306,12 +309,12 @@ class Recovery:
         """
         separation, most = self._separation, self._check.distances_left // 2
         if len(pairs) <= most:
-            return *separation.gradients(pairs, self._at, 0), np.ones(len(pairs), dtype=bool)
+            return *measure_gradients(separation, pairs, self._at, 0), np.ones(len(pairs), dtype=bool)
         # never less than what was proven when the previous step was taken
-        distance = np.maximum(separation.least_gaps(pairs, self._at, 0), self._check.bounds.required[pairs])
+        distance = np.maximum(least_gaps_at(separation, pairs, self._at, 0), self._check.bounds.required[pairs])
         chosen = np.argpartition(distance - separation.clearance[pairs], most)[:most]
         falls, measured = np.zeros((len(pairs), self._robot.n)), np.zeros(len(pairs), dtype=bool)
-        distance[chosen], falls[chosen] = separation.gradients(pairs[chosen], self._at, 0, keep=True)
+        distance[chosen], falls[chosen] = measure_gradients(separation, pairs[chosen], self._at, 0, keep=True)
         measured[chosen] = True
         return distance, falls, measured
 
@@ -354,8 +357,9 @@ class Recovery:
         separation, owner = self._separation, self._separation.owner[pairs]
         clearance = separation.clearance[pairs]
         if len(pairs) <= _FEW:
-            return separation.gradients(pairs, self._at, sample) if len(pairs) <= self._check.distances_left else None
-        distance, falls = separation.least_gaps(pairs, self._at, sample), np.zeros((len(pairs), self._robot.n))
+            can_measure = len(pairs) <= self._check.distances_left
+            return measure_gradients(separation, pairs, self._at, sample) if can_measure else None
+        distance, falls = least_gaps_at(separation, pairs, self._at, sample), np.zeros((len(pairs), self._robot.n))
         measured = np.zeros(len(pairs), dtype=bool)
         while True:
             depth = clearance - distance
@@ -366,7 +370,7 @@ class Recovery:
             if self._check.distances_left == 0:
                 return None
             row = int(np.where(open_, depth, -np.inf).argmax())
-            distance[[row]], falls[[row]] = separation.gradients(pairs[[row]], self._at, sample, keep=True)
+            distance[[row]], falls[[row]] = measure_gradients(separation, pairs[[row]], self._at, sample, keep=True)
             measured[row] = True
 
     def _spans(self, path: BrakingPath) -> list[float]:
@@ -476,7 +480,7 @@ class Recovery:
         pairs = pairs[found.level <= 0.0][: max(self._check.distances_left // CLOSER_LOOK, 1)]
         if len(pairs) == 0:
             return pairs, np.zeros(0)
-        bound = separation.proven_on(pairs, found.path, self._at, 0.0)
+        bound = proven_along(separation, pairs, found.path, self._at, 0.0)
         kept = bound >= separation.clearance[pairs]
         if kept.sum() == len(found.level):
             self.changed()

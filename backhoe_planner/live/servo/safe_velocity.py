@@ -42,6 +42,7 @@ from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.clearance.pair_bounds import Awake, Near
 from backhoe_planner.live.clearance.path_check import MOST_CANDIDATES, PathCheck
 from backhoe_planner.live.planes.path_rows import Candidates, rows_of_path
+from backhoe_planner.live.planes.plane_gaps import corner_rows
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, Recovery, RecoveryStep
 from backhoe_planner.live.servo.kept_velocity import authority_beside, breaks, keeping
 from backhoe_planner.native import compiled
@@ -489,7 +490,7 @@ class VelocityFilter:
             binding = Candidates(gaps, within, nearest.take(chosen), room.take(chosen), np.arange(len(chosen)))
             row, corners = binding.all_of(MOST_CANDIDATES) or binding.tightest(MOST_CANDIDATES)
             k, margin = chosen.take(row), gaps[row, corners]
-        G = separation.rows(near.pairs.take(k), 0, corners, self._at)
+        G = corner_rows(separation, near.pairs.take(k), 0, corners, self._at)
         comes = drift.take(k)
         moves = comes < 0.0
         margin -= clearance.take(k)

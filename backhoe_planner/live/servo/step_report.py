@@ -11,6 +11,8 @@ from backhoe_planner.live.braking.braking_path import STEP_END, JointState
 from backhoe_planner.live.braking.step_work import MOST_TOLD
 from backhoe_planner.live.clearance.pair_bounds import CLOSE, Near
 from backhoe_planner.live.clearance.path_check import PathCheck
+from backhoe_planner.live.planes.narrow_phase import measure_pair
+from backhoe_planner.live.planes.plane_gaps import world_normal
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.live.servo.feedback import Feedback, Recently, Refusal, refused_part
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityWish
@@ -68,7 +70,7 @@ class StepReport:
         if nearest is None:
             margin = math.inf
         elif margin < CLOSE:
-            normal = self._separation.world_normal(pair, self._at)
+            normal = world_normal(self._separation, pair, self._at)
         self._tip.blocking = normal if chosen.held_back else _ZERO
         beyond = self._refusal.next(v, wish=request.v, target=request.target)
         difference = J.dot(beyond - request.v) + wish.tip
@@ -151,7 +153,8 @@ class StepReport:
         for row in np.argsort(left)[:MOST_TOLD].tolist():
             if left[row] >= worst:
                 break
-            margin = self._separation.measure(int(pairs[row]), self._at, STEP_END).distance - float(clearance[row])
+            found = measure_pair(self._separation, int(pairs[row]), self._at, STEP_END)
+            margin = found.distance - float(clearance[row])
             if margin < worst:
                 worst, short = margin, int(pairs[row])
         return None if short < 0 else self._site.obstruction(short, worst, time)

@@ -22,6 +22,8 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.live.braking.braking_path import JointState, Placements
 from backhoe_planner.live.clearance.path_check import PathCheck
+from backhoe_planner.live.planes.narrow_phase import renew_plane
+from backhoe_planner.live.planes.plane_gaps import gaps_at
 from backhoe_planner.live.servo.joint_stop import JointStop, stops_from
 from backhoe_planner.live.servo.track import Track
 from backhoe_planner.machine import Robot
@@ -70,12 +72,12 @@ class StopChoice:
 
     def look(self, looks: Iterator[None]) -> bool:
         """Look at a few stops, with a little work in each iteration of `looks`; whether there are more."""
-        planes, self.work = [each.copy() for each in self._separation.of_boxes], 0
+        planes, self.work = [each.copy() for each in self._separation.plane_columns], 0
         most = _WORK_PER_SECOND * self._joints.dt
         try:
             return any(self.work >= most for _ in looks)
         finally:  # the planes that were measured where the machine is are of more use to the next steps
-            for each, kept in zip(self._separation.of_boxes, planes, strict=True):
+            for each, kept in zip(self._separation.plane_columns, planes, strict=True):
                 each[...] = kept
 
     def least_margin(self, q: Vector, places: Matrix, times: Vector, *, worst: float) -> float:
@@ -98,7 +100,8 @@ class StopChoice:
         least = _ENOUGH
         pairs = some.nonzero()[0]
         clearance, moved = separation.clearance[pairs, None], separation.drift[pairs, None] * times
-        margins = separation.gaps(pairs, at, len(places)).least + moved - clearance  # (K, S) bounds, better and better
+        # (K, S) bounds, better and better
+        margins = gaps_at(separation, pairs, at, len(places)).least + moved - clearance
         while len(pairs) and least > worst:
             pair, place = np.unravel_index(int(margins.argmin()), margins.shape)
             if margins[pair, place] >= least:
@@ -107,8 +110,8 @@ class StopChoice:
                 return min(least, -_TOUCH - _BETTER) if worst == -math.inf else worst
             self.work += 1
             asked = pairs[pair : pair + 1]
-            distance = separation.renew(int(asked[0]), at, int(place))
-            anew = separation.gaps(asked, at, len(places)).least[0]
+            distance = renew_plane(separation, int(asked[0]), at, int(place))
+            anew = gaps_at(separation, asked, at, len(places)).least[0]
             shift = separation.drift[asked] * times - clearance[pair]
             margins[pair] = np.maximum(margins[pair], anew + shift)
             margins[pair, place] = distance + shift[place]

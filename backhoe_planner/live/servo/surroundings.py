@@ -107,7 +107,7 @@ class Surroundings:
 
     def _tell(self, pair: int) -> _Told:
         """Kind and name of what a pair's link must not touch, the link, and the clearance to be kept [m]."""
-        separation, pieces = self._separation, self._separation.own_pieces
+        separation, pieces = self._separation, self._separation.own.pieces
         owner, clearance = int(separation.owner[pair]), float(separation.clearance[pair])
         link = pieces[separation.piece[pair]].link
         if owner == MACHINE:

@@ -11,6 +11,7 @@ from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.law import CompletedLaw, CriticalRows
 from backhoe_planner.live.clearance.pair_bounds import Near
 from backhoe_planner.live.clearance.path_check import PathCheck
+from backhoe_planner.live.planes.plane_gaps import nearest_point_rows
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_rows
 from backhoe_planner.native import compiled
@@ -128,7 +129,7 @@ class TipTask:
             return self._nobody
         seen, rows = self._critical
         if seen is not near:
-            gradient = self._separation.nearest_rows(near.pairs, near.gaps, self._at)
+            gradient = nearest_point_rows(self._separation, near.pairs, near.gaps, self._at)
             rows = CriticalRows(margin, gradient, self._separation.drift.take(near.pairs))
             self._critical = near, rows
         if near.q is q:
