@@ -17,7 +17,8 @@ from backhoe_planner.live.boxes import cluster_pairs
 from backhoe_planner.live.boxes.box_places import MOST_PARTS, Line, box_urgency, inexact_boxes
 from backhoe_planner.live.boxes.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.braking_path import JointState
-from backhoe_planner.live.clearance import pair_bounds
+from backhoe_planner.live.clearance import box_bounds, pair_bounds
+from backhoe_planner.live.clearance.box_bounds import BoxBounds
 from backhoe_planner.live.planes import cluster_boxes, plane_gaps
 from backhoe_planner.live.planes.pair_choice import stalest_pair
 from backhoe_planner.live.planes.separation import Separation
@@ -144,7 +145,7 @@ def test_a_step_builds_no_grids_and_replaces_at_most_two_sets_of_boxes(
         return put(*args)
 
     put = cluster_boxes.put_boxes
-    for module in (cluster_boxes, pair_bounds):
+    for module in (cluster_boxes, box_bounds):
         monkeypatch.setattr(module, "put_boxes", count)
     for kind in (Tiles, DistanceGrid, GridFrame):
         monkeypatch.setattr(kind, "__init__", must_not)
@@ -168,7 +169,7 @@ def test_a_failed_box_search_is_repeated_in_the_next_step(backhoe: Robot, monkey
         raise ZeroDivisionError
 
     with monkeypatch.context() as patched:
-        patched.setattr(servo._bounds, "find_boxes", fails)
+        patched.setattr(BoxBounds, "find", fails)
         servo.step(joint_velocity=[0.1, 0.0, 0.0, 0.0])
     assert isinstance(servo.last_error, ZeroDivisionError)
     assert one.covered == 0.0
@@ -344,6 +345,7 @@ def test_boxes_found_bit_by_bit_cover_as_much_as_those_found_at_once_and_bound_d
     servo = Servo(backhoe, scene_from_dict(SCENE), self_collision=False)
     servo.add_points("scan", ground_and_wall(np.random.default_rng(7)), resolution=0.1)
     separation, bounds, at = servo._separation, servo._bounds, Placements(backhoe, 18)
+    boxes = BoxBounds(separation, bounds)
     gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
     rng, compared, several = np.random.default_rng(8), 0, 0
     for _ in range(6):
@@ -353,14 +355,14 @@ def test_boxes_found_bit_by_bit_cover_as_much_as_those_found_at_once_and_bound_d
             once = cluster_boxes.find_boxes(separation, one, at, 0, reach=0.6, exact=0.4, slack=0.15, is_new=True)
             assert once is not None
             covered, nearest = one.covered, one.nearest
-            if one.was_inside or not bounds.search_boxes(one, at, reach=0.6):
+            if one.was_inside or not boxes.search(one, at, reach=0.6):
                 continue
             bounds.required[one.pairs] = -1.0  # nothing was proven at the place that it has jumped to
             later, bits = q + rng.normal(0.0, 0.02, 4), 0
             at.place(0, later)
             bounds.advance(later - q, None)
-            while bounds.searches:
-                bounds.search_on(at, servo._check.path(later, np.zeros(4), step=False))
+            while boxes.searches:
+                boxes.search_on(at, servo._check.path(later, np.zeros(4), step=False))
                 bits += 1
             assert (one.covered, one.nearest) == (covered, nearest)
             assert (bounds.lower()[one.pairs] <= once).all()
@@ -381,24 +383,25 @@ def test_new_boxes_that_prove_less_of_the_path_give_way_to_the_previous_ones(
     servo = Servo(backhoe, scene_from_dict(SCENE), self_collision=False)
     servo.add_points("scan", ground_and_wall(np.random.default_rng(7)), resolution=0.1)
     separation, bounds, at, q = servo._separation, servo._bounds, Placements(backhoe, 18), np.array(START)
+    boxes = BoxBounds(separation, bounds)
     path = servo._check.path(q, np.array([0.5, 0.5, 0.5, 0.5]), step=False)
-    monkeypatch.setattr(pair_bounds, "proven_along", lambda _, pairs, *__: np.full(len(pairs), 0.01))
+    monkeypatch.setattr(box_bounds, "proven_along", lambda _, pairs, *__: np.full(len(pairs), 0.01))
     at.place(0, q)
     put_back = 0
     for one in separation.counting_clusters:
         before = separation.planes.copy(), bounds.lower(), bounds.required.copy(), np.array([one.covered, one.boxes])
         measured = separation.measured
-        if not bounds.search_boxes(one, at, reach=0.6):
+        if not boxes.search(one, at, reach=0.6):
             continue
-        while bounds.searches:
-            bounds.search_on(at, path)
-        assert not bounds.short
+        while boxes.searches:
+            boxes.search_on(at, path)
+        assert not boxes.short
         now = separation.planes, bounds.lower(), bounds.required, np.array([one.covered, one.boxes])
         if separation.measured > measured and all(np.array_equal(*both) for both in zip(now, before, strict=True)):
             put_back += 1
-            boxes = [separation.body[pair] for pair in one.pairs.tolist()[: one.boxes]]
-            assert None not in boxes
-            assert all(separation._bodies_of[one.number].count(body) == 1 for body in boxes if body is not None)
+            bodies = [separation.body[pair] for pair in one.pairs.tolist()[: one.boxes]]
+            assert None not in bodies
+            assert all(separation._bodies_of[one.number].count(body) == 1 for body in bodies if body is not None)
     assert put_back >= 2
 
 
@@ -460,8 +463,8 @@ def test_insufficient_boxes_are_searched_again_only_every_tenth_step_while_braki
     (one, *_), boxes = servo._separation.counting_clusters, servo._boxes
     found: list[int] = []
     step = 0
-    monkeypatch.setattr(servo._bounds, "short", [one])
-    monkeypatch.setattr(servo._bounds, "find_boxes", lambda *_, **__: found.append(step))
+    monkeypatch.setattr(boxes._box_bounds, "short", [one])
+    monkeypatch.setattr(boxes._box_bounds, "find", lambda *_, **__: found.append(step))
     for step in range(100, 135):
         boxes._blocking, boxes._due = one, step + 1
         boxes.renew(servo._state, step)

@@ -8,6 +8,7 @@ from backhoe_planner.arrays import Array, Indices
 from backhoe_planner.live.boxes.box_places import MOST_PARTS, Line
 from backhoe_planner.live.boxes.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, Placements
+from backhoe_planner.live.clearance.box_bounds import BoxBounds
 from backhoe_planner.live.clearance.pair_bounds import Near
 from backhoe_planner.live.clearance.path_check import PathCheck
 from backhoe_planner.machine import Robot
@@ -29,6 +30,7 @@ class BoxUpkeep:
     def __init__(self, robot: Robot, check: PathCheck, *, influence: float) -> None:
         self._separation, self._bounds, self._joints = check.separation, check.bounds, check.joints
         self._check, self._at, self._influence = check, check.at, influence
+        self._box_bounds = BoxBounds(check.separation, check.bounds)
         self._line = Placements(robot, MOST_PARTS + 1)
         self._seen: tuple[JointState | None, int, Line | None] = None, 0, None  # the line that `self._line` holds
         self._due = 0
@@ -36,21 +38,25 @@ class BoxUpkeep:
         self._in_vain_until = 0  # the step before which boxes that just proved too little are not found again
 
     def forget(self, *, blocking: bool = False) -> None:
-        """Check boxes in the next step; with `blocking` also forget which ones forbade a step."""
+        """Check boxes in the next step, and end a search; with `blocking` also forget which ones forbade a step."""
         self._due = 0
+        self._box_bounds.forget()
         if blocking:
             self._blocking = None
 
     def note(self, near: Near, *, held_back: bool) -> None:
         """Note whether a step was found, or none was because something `held_back` the machine."""
-        self._blocking = self._bounds.tightest_cluster(near) if held_back else None
+        self._blocking = None
+        if held_back:
+            pair, _ = self._bounds.tightest(near)
+            self._blocking = next((one for one in self._separation.counting_clusters if pair in one.pairs), None)
 
     def find_for(self, pairs: Indices, state: JointState) -> None:
         """Find the boxes of all links and clusters whose `pairs` (K,) are new or were moved."""
         moved = set(pairs.tolist())
         for one in self._separation.clusters:
             if not moved.isdisjoint(one.pairs.tolist()):
-                self._bounds.find_boxes(one, self._at, reach=self._reach_of(one, state))
+                self._box_bounds.find(one, self._at, reach=self._reach_of(one, state))
 
     def renew(self, state: JointState, step: int) -> bool:
         """Find the boxes of one link and one cluster again if that is due; those of more if the next step needs them.
@@ -59,18 +65,18 @@ class BoxUpkeep:
 
         False if boxes cannot hold everything that the machine could come near: it has to slow down.
         """
-        if self._bounds.short and not state.v.any():
+        if self._box_bounds.short and not state.v.any():
             # no path from here keeps what these boxes must keep: only here are they as far away as the cells
-            self._find(self._bounds.short[0], state)
+            self._find(self._box_bounds.short[0], state)
         elif self._blocking is not None:
             # boxes that were found further away may forbid what the cells allow
-            if self._blocking not in self._bounds.short or step >= self._in_vain_until:
+            if self._blocking not in self._box_bounds.short or step >= self._in_vain_until:
                 self._find(self._blocking, state)
                 # while the machine brakes, they prove as little one step later
                 self._in_vain_until = step + _EVERY
             self._blocking = None
-        elif self._bounds.searches:
-            self._bounds.search_on(self._at, self._path(state))
+        elif self._box_bounds.searches:
+            self._box_bounds.search_on(self._at, self._path(state))
         if step < self._due:
             return True
         one, urgent = self._most_urgent(state, _EVERY)
@@ -79,7 +85,7 @@ class BoxUpkeep:
             return True
         if urgent < math.inf:
             if not (
-                self._bounds.searches or self._bounds.search_boxes(one, self._at, reach=self._reach_of(one, state))
+                self._box_bounds.searches or self._box_bounds.search(one, self._at, reach=self._reach_of(one, state))
             ):
                 self._find(one, state)
             self._due = step + _EVERY
@@ -100,7 +106,7 @@ class BoxUpkeep:
 
     def _find(self, one: ClusterPairs, state: JointState) -> None:
         """Find the boxes of a link and a cluster again."""
-        self._bounds.find_boxes(one, self._at, reach=self._reach_of(one, state), path=self._path(state))
+        self._box_bounds.find(one, self._at, reach=self._reach_of(one, state), path=self._path(state))
 
     def _reach_of(self, one: ClusterPairs, state: JointState) -> float:
         """Distance from a link within which the cells of a cluster count [m]."""

@@ -16,16 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Indices, Vector
-from backhoe_planner.live.boxes.box_places import SLACK, KnownDistances
-from backhoe_planner.live.boxes.cluster_pairs import BoxSearch, ClusterPairs
+from backhoe_planner.arrays import Flags, Indices, Vector
+from backhoe_planner.live.boxes.box_places import KnownDistances
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 from backhoe_planner.live.braking.odometers import count_travel, keep_proven
 from backhoe_planner.live.braking.step_work import MOST_NEAR
 from backhoe_planner.live.planes.close_look import proven_along
-from backhoe_planner.live.planes.cluster_boxes import find_boxes, keep_boxes, put_back_boxes, put_boxes, search_boxes
 from backhoe_planner.live.planes.narrow_phase import is_exact_bound, renew_plane
 from backhoe_planner.live.planes.pair_choice import margins_now, near_now, not_proven, stalest_pair, tightest_pair
 from backhoe_planner.live.planes.plane_gaps import gaps_here
@@ -40,7 +38,6 @@ _PREPARED_WITHIN = 1.0  # m of margin within which pairs of a load are measured 
 _PREPARED_AT_ONCE = 4  # pairs in a step, some 20 us each; chosen, a tenth of a step of 1 ms
 _SEEN_ANEW = 0.005  # m of travel after which pairs further away than `CLOSE` are examined again; chosen, 5 % of that
 _SKIN = 0.2  # m of travel after which pairs are chosen again; chosen, some hundred steps of a quick motion
-_ROOM = 0.1  # m beyond their clearance at which the planes of boxes are not examined; chosen
 _URGENT = 0.02  # m of margin: chosen, nearer pairs are renewed about equally often
 _MOVED = 0.1  # of margin + `_URGENT`: chosen, planes are renewed after 2 mm at a wall, and after 2 cm at 0.2 m from it
 _STALE = CLOSE, _URGENT, _MOVED
@@ -119,9 +116,6 @@ class PairBounds:
     inside: indices of the pairs that are closer than allowed and whose obstacle stands still.
     stands: (P,) whether the pair's obstacle stands still.
     anything_moves: whether the obstacle of any pair moves.
-    short: links and clusters whose new boxes prove less for the braking path than must be kept. The proof by the
-        previous boxes still holds, so the machine can brake along the path; once it stands, the boxes have to be found
-        again.
     """
 
     def __init__(self, separation: Separation, *, influence: float) -> None:
@@ -143,10 +137,7 @@ class PairBounds:
         self._around, self._around_path = _Watch(), _Watch()
         # the pairs found near when last examined, and the travel for which this remains valid [m]
         self._seen: tuple[Near | None, float] = None, 0.0
-        # the search for boxes that is running, and the odometer's value of their link when it began
-        self._search: tuple[BoxSearch, float] | None = None
         self._accepted: tuple[Indices, Vector] = _NOTHING
-        self.short: list[ClusterPairs] = []
 
     # --- which pairs there are -----------------------------------------------------------
 
@@ -182,16 +173,14 @@ class PairBounds:
         self._set_within()
         self._slows = bool(self._slow_from.any())
         self._furthest_step = float(per_step_on_path.max(initial=0.0))
-        self._look_at_all()
+        self.look_at_all()
 
     def _set_within(self) -> None:
         """Set the distances within which pairs are examined."""
         self._within = self._separation.clearance + np.maximum(self._reach, self._coming)
 
-    def _look_at_all(self) -> None:
+    def look_at_all(self) -> None:
         """Choose again which pairs are examined, because the pairs or their motion have changed."""
-        self._search = None
-        self.short = [one for one in self.short if one in self._separation.counting_clusters]
         self._around.until = self._around_path.until = -math.inf
         self._seen = None, 0.0
 
@@ -206,9 +195,8 @@ class PairBounds:
     def measure(self, pairs: Indices, path: BrakingPath, at: Placements) -> None:
         """Measure `pairs` that are new or were moved, and note their distances over the braking path."""
         separation = self._separation
-        self._search = None
         self.set_distance(pairs, np.array([renew_plane(separation, pair, at, 0) for pair in pairs.tolist()]))
-        self._note_renewed(pairs)
+        self.note_renewed(pairs)
         parts = [pairs[first : first + _AT_ONCE] for first in range(0, len(pairs), _AT_ONCE)]
         bound = np.concatenate([proven_along(separation, part, path, at, path.time) for part in parts])
         self.set_proven(pairs, bound)
@@ -232,7 +220,7 @@ class PairBounds:
         separation = self._separation
         self.required = np.minimum(self.required, separation.clearance)
         self._set_within()
-        self._look_at_all()
+        self.look_at_all()
         bound = self.lower()[pairs] - separation.travel.dot(np.abs(path.delta))[separation.classes[pairs]]
         clear = self.stands[pairs] & (bound >= separation.clearance[pairs] + BUFFER)
         known = pairs[clear]
@@ -251,128 +239,29 @@ class PairBounds:
         moved = self._start_odometer[separation.classes[near]] - self._renewed_at[near]
         for pair in near[np.argsort(-moved, kind="stable")[:_PREPARED_AT_ONCE]].tolist():
             self.set_distance(np.array([pair]), np.array([renew_plane(separation, pair, at, 0)]))
-            self._note_renewed(pair)
+            self.note_renewed(pair)
 
-    def find_boxes(self, one: ClusterPairs, at: Placements, *, reach: float, path: BrakingPath | None = None) -> None:
-        """Find again the boxes that represent a cluster around a link, at the placements' row 0.
-
-        Parameters
-        ----------
-        reach: distance within which its cells count [m].
-        path: the present braking path, if distances that must be kept along it were proven with the previous boxes;
-            otherwise None.
-        """
-        if self._search is not None and self._search[0].one is one:
-            self._search = None  # this search replaces the running one
-        kept = float(self.required[one.pairs].min())
-        if self._put_boxes(one, at, reach, is_new=path is None) and path is not None:
-            self._prove_boxes(one, kept, at, reach=reach, path=path)
-
-    def search_boxes(self, one: ClusterPairs, at: Placements, *, reach: float) -> bool:
-        """Begin to find these boxes bit by bit in the following steps; False if they have to be found at once."""
-        search = search_boxes(
-            self._separation, one, at, 0, reach=reach, exact=one.clearance + self.influence, slack=SLACK
-        )
-        self._search = None if search is None else (search, float(self._start_odometer[one.classes]))
-        return search is not None
-
-    @property
-    def searches(self) -> bool:
-        """Whether boxes are being found bit by bit."""
-        return self._search is not None
-
-    def search_on(self, at: Placements, path: BrakingPath) -> None:
-        """Do the next bit of the search, with parameters as for `find_boxes`; the last one installs the boxes."""
-        assert self._search is not None
-        search, odometer = self._search
-        found = next(search.bits)
-        if found is None:
-            return
-        self._search = None
-        one, kept = search.one, float(self.required[search.one.pairs].min())
-        before = keep_boxes(self._separation, one, self._of_boxes)
-        boxes = one.take(found, search.reach, search.found_at)
-        if one.nearest <= 0.0:  # a link inside something needs the full search
-            self.find_boxes(one, at, reach=search.reach, path=path)
-            return
-        came, separation = float(self._start_odometer[one.classes]) - odometer, self._separation
-        self.set_distance(one.pairs, put_boxes(separation, one, boxes) - came)
-        self._note_renewed(one.pairs)
-        self._prove_boxes(one, kept, at, reach=search.reach, path=path)
-        if one in self.short:  # the previous boxes cover the path, and any motion until boxes are checked again
-            put_back_boxes(separation, one, before, self._of_boxes)
-            self._look_at_all()
-            self.short.remove(one)
-            self.find_inside()
-
-    @property
-    def _of_boxes(self) -> tuple[Array, ...]:
-        """The data of all pairs that change with their boxes."""
-        return *self._separation.plane_columns, self._distance, self._renewed_at, self._proven, self.required
-
-    def _prove_boxes(self, one: ClusterPairs, kept: float, at: Placements, *, reach: float, path: BrakingPath) -> None:
-        """Note the distances that are proven for new boxes over the present braking path.
-
-        Parameters
-        ----------
-        kept: the least distance that the previous boxes have to keep [m].
-        at, reach, path: as for `find_boxes`.
-        """
-        separation, pairs, own = self._separation, one.pairs, one.classes
-        bound = self._distance.take(pairs)
-        bound -= float(self._start_odometer[own]) + float(separation.travel[own].dot(np.abs(path.delta)))
-        if self.short:
-            self.short = [other for other in self.short if other is not one]
-        if bound[bound.argmin()] >= one.clearance + _ROOM:
-            self.set_proven(pairs, bound)
-            self.required[pairs] = separation.clearance.take(pairs)
-            if len(self.inside):
-                self.find_inside()
-            return
-        at_rest = not path.delta.any()
-        path.place(at)
-        bound = proven_along(separation, pairs, path, at, path.time)
-        if bound.min() < kept - TOLERANCE:
-            # a box is nearer than all its cells. Without slack none is nearer here, but that needs more boxes, and
-            # elsewhere on the path one may still be nearer, so they are only of use if they cover as much
-            covered = one.covered
-            self._put_boxes(one, at, reach, slack=0.0)
-            if one.covered < covered and not at_rest:
-                self._put_boxes(one, at, reach)
-            bound = proven_along(separation, pairs, path, at, path.time)
-        self.set_proven(pairs, bound)
-        # boxes may contain more than the cells do: what was proven for the cells remains proven
-        keeps = np.maximum(bound, kept)
-        if bound.min() < kept - TOLERANCE:
-            if at_rest:
-                # no path would keep what was proven: the way out begins here
-                keeps = bound
-            else:
-                self.short.append(one)
-        self.required[pairs] = np.minimum(separation.clearance[pairs], keeps)
-        self.find_inside()
-
-    def _put_boxes(
-        self, one: ClusterPairs, at: Placements, reach: float, *, is_new: bool = False, slack: float = SLACK
-    ) -> bool:
-        """Install the boxes of a cluster around a link that are found now, and note their distances.
-
-        False if there are none, as before.
-        """
-        found = find_boxes(
-            self._separation, one, at, 0, reach=reach, exact=one.clearance + self.influence,
-            is_new=is_new, slack=slack,
-        )  # fmt: skip
-        if found is None:
-            return False
-        self.set_distance(one.pairs, found)
-        self._note_renewed(one.pairs)
-        return True
+    # --- single bounds -------------------------------------------------------------------
 
     @property
     def known(self) -> KnownDistances:
         """The known bounds of all distances; read-only."""
         return KnownDistances(self._distance, self._start_odometer, self._proven, self._path_odometer)
+
+    @property
+    def columns(self) -> tuple[Vector, ...]:
+        """The arrays with what is known and required of every pair, (P,) each."""
+        return self._distance, self._renewed_at, self._proven, self.required
+
+    def odometer(self, classes: int) -> float:
+        """How far points of a class can have moved since the odometers began [m]."""
+        return float(self._start_odometer[classes])
+
+    def lower_after(self, pairs: Indices, classes: int, way: float) -> Vector:
+        """(K,) lower bounds of the distances of `pairs` (K,) of one class after their points moved by `way` [m]."""
+        bound = self._distance.take(pairs)
+        bound -= self.odometer(classes) + way
+        return bound
 
     def find_inside(self) -> None:
         """Find the pairs of static obstacles that are closer than allowed."""
@@ -540,7 +429,7 @@ class PairBounds:
             self._seen = None, 0.0
         self._renewed_at[pair] = counted
 
-    def _note_renewed(self, pairs: Indices | int) -> None:
+    def note_renewed(self, pairs: Indices | int) -> None:
         """Note that `pairs` (K,) were measured in this step."""
         self._renewed_at[pairs] = self._start_odometer[self._separation.classes[pairs]]
 
@@ -571,11 +460,6 @@ class PairBounds:
             if beyond < margin:
                 pair, margin = near.next, beyond
         return pair, margin
-
-    def tightest_cluster(self, near: Near) -> ClusterPairs | None:
-        """The link and the cluster of the near pair with the least margin; None if that pair is of no cluster."""
-        pair, _ = self.tightest(near)
-        return next((one for one in self._separation.counting_clusters if pair in one.pairs), None)
 
     def lower(self) -> Vector:
         """(P,) lower bounds of all distances at the machine's present configuration [m]."""
