@@ -8,7 +8,8 @@ from executors import Never
 
 import backhoe_planner as bp
 from backhoe_planner.law import QuadraticProgram, Rows, solve_program
-from backhoe_planner.live.servo.kept_velocity import authority_beside, keeping
+from backhoe_planner.live.clearance.evasion import authority_beside
+from backhoe_planner.live.servo.kept_velocity import keeping
 from backhoe_planner.machine import shipped_folder
 from backhoe_planner.motion import keep_of
 

@@ -1,1 +1,1 @@
-"""Known bounds of every distance, and the check of a braking path."""
+"""Known bounds of every distance, the check of a braking path, and the rows for giving way to what moves."""

@@ -71,8 +71,8 @@ def find_hold(
         worst = check.worst_of_last()
         return Hold(None, keeps=False) if worst < 0 else of_pair(worst)
     of_path = check.rows_of_last()
-    evasion = (*velocity_filter.of_what_moves[:1], *(() if of_path is None else (of_path,)))
-    early = velocity_filter.of_what_moves[1:]
+    evasion = (*velocity_filter.evasion.of_pairs[:1], *(() if of_path is None else (of_path,)))
+    early = velocity_filter.evasion.of_pairs[1:]
     least, most, kept = request.range.least, request.range.most, request.kept
     program = velocity_program(request, request.v, least, most, tuple(rows for _, rows in evasion))
     n, H = len(request.v), program.H

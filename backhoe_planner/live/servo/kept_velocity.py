@@ -15,13 +15,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Indices, Vector
 from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows
 
 _PRICE_KEPT = 100.0  # W; chosen: the wish counts up to 1, and rows of obstacles 5e3 and more for each (m/s)^2
 _PRICE_EARLY = 1.0  # the same of rows for evading early; chosen, far below W
-_RANK = 1e-3  # part of the largest singular value below which rows count as dependent; chosen, octagons have rank 2
-_NOTHING = 1e-12  # keeps quotients finite
 
 
 def keeping(program: QuadraticProgram, kept: Rows, early: Rows | None = None) -> QuadraticProgram:
@@ -61,18 +59,3 @@ def _missed(block: Rows, by: Indices, more: int) -> Rows:
 def breaks(kept: Rows | None, v: Vector, tolerance: float) -> bool:
     """Whether there are rows that v (n,) does not keep."""
     return kept is not None and not kept.are_kept_by(v, tolerance)
-
-
-def authority_beside(near: Matrix, G: Matrix, acceleration: Vector) -> Vector:
-    """(K,) how fast joints with an acceleration (n,) can change each rate G v (K, n) while `near` v (M, n) stays.
-
-    It is that in the direction that is nearest to the one in which the rate changes most.
-    """
-    scaled = G * acceleration
-    if len(near):
-        fixed = near * acceleration
-        scaled_beside = scaled - scaled @ np.linalg.pinv(fixed, rcond=_RANK) @ fixed
-    else:
-        scaled_beside = np.sign(scaled)
-    most = np.maximum(np.abs(scaled_beside).max(axis=1), _NOTHING)
-    return np.asarray(np.einsum("kn,kn->k", scaled, scaled_beside) / most)

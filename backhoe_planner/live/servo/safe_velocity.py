@@ -3,11 +3,7 @@
     min_v |v - v_w|_W   s.t.   rows of the braking path, rows of evasion
 
 W weighs what the tip notices. The rows are only linear, so the braking path of the solution
-is checked; if it is not clear, its rows are added and the problem is solved again. Every
-moving obstacle adds a row, which demands a velocity away from it that the machine can still
-reach:
-
-    g v + u.n >= -sqrt(2 a_n margin),   a_n = sum_j |g_j| a_j / 2
+is checked; if it is not clear, its rows are added and the problem is solved again.
 """
 
 from __future__ import annotations
@@ -29,22 +25,15 @@ from backhoe_planner.law import (
     soft_solution,
     solve_with_binding_rows,
 )
-from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, braking_line
-from backhoe_planner.live.braking.joint_bounds import (
-    FASTEST_RECOVERY,
-    RECOVERY,
-    SLOWEST_RECOVERY,
-    TOLERANCE,
-    VelocityRange,
-    next_within,
-)
+from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, PathClearance, braking_line
+from backhoe_planner.live.braking.joint_bounds import TOLERANCE, VelocityRange, next_within
 from backhoe_planner.live.braking.kept_rows import KeptRows
+from backhoe_planner.live.clearance.evasion import Evasion
 from backhoe_planner.live.clearance.pair_bounds import Awake, Near
-from backhoe_planner.live.clearance.path_check import MOST_CANDIDATES, PathCheck
-from backhoe_planner.live.planes.path_rows import Candidates, rows_of_path
-from backhoe_planner.live.planes.plane_gaps import corner_rows
+from backhoe_planner.live.clearance.path_check import PathCheck
+from backhoe_planner.live.planes.path_rows import rows_of_path
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, Recovery, RecoveryStep
-from backhoe_planner.live.servo.kept_velocity import authority_beside, breaks, keeping
+from backhoe_planner.live.servo.kept_velocity import breaks, keeping
 from backhoe_planner.native import compiled
 
 _BINDING = 1e-5  # rad/s or m/s: a row that is kept with more to spare does not bind; the solver's tolerance is 1e-6
@@ -53,15 +42,8 @@ _ATTEMPTS_IF_TORN = 2  # as `ATTEMPTS`, if something moves: chosen, the next ste
 _FREE = 0.005  # m^2: weight of the null space beside the tip; chosen, small beside the square of an arm's length
 _SURE, _SURER = 0.9, 0.5  # parts of the blend at which a path is just clear; chosen, gaps are not quite linear
 _LEAST_BLEND = 0.01  # part of the way from braking to a velocity: less is braking
-_SLOW = 1e-3  # m/s: slower obstacles count as approaching at this speed when times are compared; chosen
-_VIOLATED = 1e-7  # m: a distance that is too short by less does not count; rounding
 _HELD = _BINDING, TOLERANCE, MOST_SOFT_ROWS, MOST_ITERATIONS
 _NONE: Indices = np.zeros(0, dtype=np.intp)
-_LEAST_AUTHORITY = 0.3  # part of the acceleration with which to give way that counts beside what is kept; chosen of 0.1
-# to 1: with 1 it begins too late to keep a cup upright, 0.1 and 0.6 are as good
-_URGENT = 0.5  # s until what moves is too close, from which on evading it comes before what is kept; chosen
-_TINY = 1e-12  # keeps quotients finite
-_AS_NEAR = 0.02  # m: chosen, corners within this of the nearest one get a row each
 
 
 class VelocityWish(NamedTuple):
@@ -232,15 +214,14 @@ class VelocityFilter:
 
     Attributes
     ----------
-    of_what_moves: the pairs (K,) and rows of the last step for evasion, then for evading early; empty if nothing comes.
+    evasion: the rows of what moved in the last step.
     """
 
     def __init__(self, check: PathCheck, recovery: Recovery) -> None:
-        self._separation, self._joints, self._bounds = check.separation, check.joints, check.bounds
-        self._check, self._recovery, self._at = check, recovery, check.at
-        self._acceleration, self._fastest = check.joints.limits.acceleration, check.joints.limits.velocity
-        self._nothing_comes = Rows.none("evasion", len(self._acceleration))
-        self.of_what_moves: tuple[tuple[Indices, Rows], ...] = ()
+        self._joints, self._bounds = check.joints, check.bounds
+        self._check, self._recovery = check, recovery
+        self._evasion = Evasion(check)
+        self.evasion = self._evasion.nothing
 
     def choose(self, state: JointState, wish: VelocityWish, near: Near) -> SafeVelocity:
         """The velocity nearest to the wish whose braking path is proven clear; braking if there is none."""
@@ -248,7 +229,8 @@ class VelocityFilter:
             return self._recover(state, wish, near)
         check, (low, high, *_) = self._check, wish.range
         awake = check.awake(state, wish.range.look)
-        evasion, early = self._evasion_rows(near, low, high, wish.kept)
+        self.evasion = self._evasion.find(near, low, high, wish.kept)
+        evasion, early, _ = self.evasion
         if wish.kept is not None:
             wish = wish._replace(kept=wish.kept._replace(early=early))
         held_back = evading = False
@@ -350,10 +332,11 @@ class VelocityFilter:
 
     def _recover(self, state: JointState, wish: VelocityWish, near: Near) -> SafeVelocity:
         """The velocity of the way out. The distances proven for it must be kept from now on."""
-        bounds, clearance = self._bounds, self._separation.clearance
+        bounds, clearance = self._bounds, self._check.separation.clearance
         pairs = bounds.inside
         low, high = self._recovery.slow_bounds(state.q, state.v, wish.range.low, wish.range.high)
         awake = self._check.awake(state, wish.range.look)
+        self.evasion = self._evasion.find(near, low, high, wish.kept)
         step = RecoveryStep(
             state=state,
             low=low,
@@ -361,7 +344,7 @@ class VelocityFilter:
             target=np.minimum(np.maximum(wish.target, low), high),
             brake=self._braking(state.v),
             awake=awake,
-            evasion=self._evasion_rows(near, low, high, wish.kept)[0],
+            evasion=self.evasion.rows,
             kept=wish.kept,
         )
         depth, found = self._recovery.choose(pairs, bounds.stands, step)
@@ -460,60 +443,3 @@ class VelocityFilter:
         self._check.note(solution)
         x = self._joints.brake(state.v) if solution is None else solution.x
         return np.minimum(np.maximum(x, program.low), program.high), None if solution is None else solution.kept
-
-    def _evasion_rows(self, near: Near, low: Vector, high: Vector, kept: KeptRows | None) -> tuple[Rows, Rows]:
-        """The rows of obstacles that are approaching, and of moving ones that are already too close.
-
-        The second rows are those of a machine that gives way early enough to keep what is `kept` meanwhile.
-        """
-        separation, self.of_what_moves = self._separation, ()
-        if len(near.pairs) == 0 or not self._bounds.anything_moves:
-            return self._nothing_comes, self._nothing_comes
-        clearance = separation.clearance.take(near.pairs)
-        too_close = np.maximum(near.distance, self._bounds.required.take(near.pairs)) < clearance - _VIOLATED
-        too_close &= ~self._bounds.stands.take(near.pairs)
-        drift = separation.drift.take(near.pairs)
-        too_close |= drift < 0.0
-        chosen = too_close.nonzero()[0]
-        if len(chosen) == 0:
-            return self._nothing_comes, self._nothing_comes
-        least, nearest = near.gaps.least[:, 0], near.gaps.nearest[:, 0]
-        # the time that is left until the clearance is violated
-        room = (least - clearance) / np.maximum(-drift, _SLOW)
-        if len(chosen) > MOST_CANDIDATES:
-            k = chosen[room.take(chosen).argpartition(MOST_CANDIDATES - 1)[:MOST_CANDIDATES]]
-            corners, margin = nearest.take(k), least.take(k)
-        else:
-            gaps = near.gaps.all.take(chosen, axis=0)[:, 0]
-            within = np.maximum(least, clearance).take(chosen)
-            within += _AS_NEAR
-            binding = Candidates(gaps, within, nearest.take(chosen), room.take(chosen), np.arange(len(chosen)))
-            row, corners = binding.all_of(MOST_CANDIDATES) or binding.tightest(MOST_CANDIDATES)
-            k, margin = chosen.take(row), gaps[row, corners]
-        G = corner_rows(separation, near.pairs.take(k), 0, corners, self._at)
-        comes = drift.take(k)
-        moves = comes < 0.0
-        margin -= clearance.take(k)
-        margin -= moves * (2.0 * BUFFER)
-        authority = 0.5 * np.abs(G).dot(self._acceleration)
-        allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
-        back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)
-        h = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)
-        most = np.add.reduce(np.maximum(G * low, G * high), axis=1)
-        # running from what is faster than the link can be does not help; it would only cost what is to be kept
-        helps = np.abs(G).dot(self._fastest) >= -comes
-        if kept is None:
-            could = (most > h) & (helps | (margin < self._bounds.influence))
-            evasion = Rows("evasion", G[could], h[could])
-            self.of_what_moves = ((near.pairs.take(k)[could], evasion),)
-            return evasion, self._nothing_comes
-        urgent = margin < -_URGENT * comes
-        could = (most > h) & helps & (urgent | ~moves)
-        beside = authority_beside(kept.near, G, self._acceleration) / np.maximum(2.0 * authority, _TINY)
-        part = np.sqrt(np.minimum(np.maximum(beside, _LEAST_AUTHORITY), 1.0))
-        sooner = np.where(moves, h - (1.0 - part) * allowed, h)
-        soon = helps & moves & ((sooner < h) | ~urgent) & (most > sooner)
-        pairs = near.pairs.take(k)
-        evasion, early = Rows("evasion", G[could], h[could]), Rows("early", G[soon], sooner[soon])
-        self.of_what_moves = (pairs[could], evasion), (pairs[soon], early)
-        return evasion, early
