@@ -21,7 +21,6 @@ Within the slow distance of one of the scene's zones the wish is scaled down; it
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -47,7 +46,7 @@ from backhoe_planner.live.servo.loads import Loads
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilter, VelocityWish
 from backhoe_planner.live.servo.servo_state import Command, ServoState
 from backhoe_planner.live.servo.step_report import StepReport
-from backhoe_planner.live.servo.stop_choice import Comparison, Stop, StopChoice
+from backhoe_planner.live.servo.stop_choice import Stop, StopChoice
 from backhoe_planner.live.servo.surroundings import Surroundings
 from backhoe_planner.live.servo.tip_task import TipTask
 from backhoe_planner.live.servo.track import Track
@@ -64,7 +63,6 @@ from backhoe_planner.site import (
 )
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish and are not named in the state; chosen
-_UNCOMPARED = 0.1  # s between two comparisons of stops while the surroundings change; chosen, a stop takes longer
 _STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, a dt outside is a slip
 
 
@@ -127,9 +125,6 @@ class Servo:
         n = robot.n
         self._state = JointState(q, np.zeros(n), q)
         self._stop: Stop | None = None  # how the machine stops, if it does not straight ahead
-        self._comparison: Comparison | None = None  # of stops, begun when the present one was not proven
-        self._compare_from = math.inf  # s: from then on stops are compared anew
-        self._compared_at = -math.inf  # s: when a comparison began
         self._steps = 0
         self._chosen: tuple[VelocityWish, SafeVelocity] | None = None  # in the last step, unless it was a stop
         self.last_error: Exception | None = None
@@ -296,7 +291,7 @@ class Servo:
         self._check.forget()
         self._boxes.forget(blocking=True)
         self._recovery.changed()
-        self._compare_again()
+        self._stops.compare_again()
 
     def prepare_to_carry(self, leg: str | None) -> None:
         """Measure a few of the pairs of the load of a leg that is about to begin; takes about 0.1 ms.
@@ -396,7 +391,7 @@ class Servo:
         self._bounds.measure(pairs, path, self._at)
         if self._stop is not None:
             self._require_clearance(pairs)
-            self._compare_again()
+            self._stops.compare_again()
         if self._bounds.stands[pairs].any():
             self._recovery.changed()
 
@@ -496,7 +491,7 @@ class Servo:
         self._bounds.accept(awake.pairs, found)
         self._bounds.renew(near, self._at, self._steps)
         self._boxes.note(near, held_back=False)
-        self._comparison, self._compare_from = None, math.inf  # the track is proven
+        self._stops.forget()  # the track is proven
         self._go_on(track, wished, path.end, straight=straight)
         wish = self._tip.wish(q, self._commands, near, circulate=False)
         request = VelocityWish(wished, wished, None, wished, for_tip=False, range=limits._replace(cuts_wish=False))
@@ -522,10 +517,6 @@ class Servo:
         if not self._joints.are_kept_at(end):
             return False
         return not isinstance(stop, Track) or stop.may_be_left(self._state.q + self.dt * v, end)
-
-    def _compare_again(self) -> None:
-        """Compare stops once more, as something has turned up; not in every step in which an obstacle is moved."""
-        self._compare_from = min(self._compare_from, self._compared_at + _UNCOMPARED)
 
     def _require_clearance(self, pairs: Indices) -> None:
         """Require the clearance of `pairs` (K,): on a track the straight braking path does not say what can be kept."""
@@ -555,23 +546,12 @@ class Servo:
         q = before.q + moved
         self._state = JointState(q, v, self._check.path(q, v, step=False).end if end is None else end)
 
-    def _best_stop(self, stop: Stop) -> Stop:
-        """The stop to go on with instead of `stop`, which is not proven."""
-        begun = self._comparison
-        if self.time > self._compare_from or (begun is not None and self.time > begun.until):
-            self._compare_from, self._compared_at = math.inf, self.time
-            begun = self._comparison = self._stops.compare(stop)
-        if begun is None or begun.is_done:
-            return stop
-        begun.go_on(self._state, self.time)
-        return begun.best
-
     def _brake(self, command: Command, *, failed: bool, moved: bool = False) -> ServoState:
         """Brake after a failure, or because nothing else is proven, unless the step was already taken."""
         straight = moved or self._stop is None
         if not moved and self._stop is not None:
             if not failed:
-                self._stop = self._best_stop(self._stop)
+                self._stop = self._stops.best(self._stop, self._state, self.time)
             q, v, _ = self._state
             slower = self._stop.slower(q, v)
             self._bounds.accept_nothing()

@@ -45,26 +45,53 @@ _MOST_MEASURED = 120  # distances for one stop: enough for many obstacles, mostl
 _WORK_PER_SECOND, _WORK_OF_STOP, _WORK_OF_PLACE = 5_000.0, 10, 2
 _FARTHER = 1.3  # times what a machine needs to come to rest along its track, by a rough estimate; chosen
 _AGAIN = 0.1  # s after which that is estimated once more; chosen
+_UNCOMPARED = 0.1  # s between two comparisons of stops while the surroundings change; chosen, a stop takes longer
 
 
 class StopChoice:
-    """Compares the stops of one machine.
+    """Compares the stops of one machine when something turns up.
 
     Parameters
     ----------
     robot: the machine.
     check: of its braking paths.
+
+    Attributes
+    ----------
+    work: done in this step.
     """
 
     def __init__(self, robot: Robot, check: PathCheck) -> None:
         self._separation, self._bounds, self._joints = check.separation, check.bounds, check.joints
         self._acceleration = (1.0 - 1e-9) * check.joints.limits.acceleration
         self._at = Placements(robot, _MOST_PLACES + 1)
-        self.work = 0  # done in this step
+        self.work = 0
+        self._comparison: Comparison | None = None  # begun when the present stop was not proven
+        self._compare_from = math.inf  # s: from then on stops are compared anew
+        self._compared_at = -math.inf  # s: when a comparison began
 
     def compare(self, stop: Stop) -> Comparison:
         """The comparison of a machine's present `stop` with others, over the next steps."""
         return Comparison(self, stop)
+
+    def best(self, stop: Stop, state: JointState, time: float) -> Stop:
+        """The stop to go on with instead of `stop`, which is not proven, in this `state` at `time` [s]."""
+        begun = self._comparison
+        if time > self._compare_from or (begun is not None and time > begun.until):
+            self._compare_from, self._compared_at = math.inf, time
+            begun = self._comparison = self.compare(stop)
+        if begun is None or begun.is_done:
+            return stop
+        begun.go_on(state, time)
+        return begun.best
+
+    def compare_again(self) -> None:
+        """Compare stops once more, as something has turned up; not in every step in which an obstacle is moved."""
+        self._compare_from = min(self._compare_from, self._compared_at + _UNCOMPARED)
+
+    def forget(self) -> None:
+        """Drop the comparison, because the present stop is proven."""
+        self._comparison, self._compare_from = None, math.inf
 
     def stops_from(self, v: Vector) -> dict[int, JointStop]:
         """The stops off the track from a velocity v (n,), by their keys."""
