@@ -1,8 +1,8 @@
 """Descents from many starts at once, as if nothing were in the way.
 
-What a straight line costs says hardly anything about the motion at which a descent from it ends: on an open site of the
-Panda with lines to 297 postures, the first of those that lead to the cheapest motion is 155th by its own cost, and
-first after eight such steps, which take 0.3 ms a line. They go down the slope of the cost in the metric of the squared
+What a straight line costs says little about the motion at which a descent from it ends: on an open site of the Panda
+with lines to 297 postures, the first of those that lead to the cheapest motion is 155th by its own cost, and first
+after eight such steps, which take 0.3 ms a line. They go down the slope of the cost in the metric of the squared
 second derivatives of the curves (CHOMP, Zucker et al. 2013), each with a step that grows after it cost less and
 shrinks otherwise. Ends move on their goals. Limits count only in the prices that follow, see `StartPrices`.
 """
