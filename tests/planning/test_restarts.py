@@ -44,8 +44,9 @@ class Searches:
 
     def __init__(
         self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False, is_for_time: bool = False,
-        rounds: int = 0, repeats: bool = False, refining_paid: bool = False,
+        rounds: int = 0, repeats: bool = False, refining_paid: bool = False, postures: int = 1,
     ) -> None:  # fmt: skip
+        self.postures = postures
         self._repeats, self.refining_paid = repeats, refining_paid
         self._goal, self._left, self.leads_round, self.is_for_time = goal, iter(found), leads_round, is_for_time
         self.rounds = rounds
@@ -89,13 +90,13 @@ class Searches:
 def way_of(
     robot: bp.Robot, objective: str, found: Iterator[tuple[float, float]], patch: Any, *,
     effort: Effort | None = None, leads_round: bool = False, rounds: int = 0, repeats: bool = False,
-    refining_paid: bool = False,
+    refining_paid: bool = False, postures: int = 1,
 ) -> tuple[str, Searches]:  # fmt: skip
     effort = effort or replace(EFFORTS["thorough"], begins_with="", restarts=3)
     world = World(build_problem(robot, scene(robot, objective)), seed=5, work=Work(effort))
     searches = Searches(
         world.problem.goals[0], list(found), leads_round=leads_round, is_for_time=objective == "time",
-        rounds=rounds, repeats=repeats, refining_paid=refining_paid,
+        rounds=rounds, repeats=repeats, refining_paid=refining_paid, postures=postures,
     )  # fmt: skip
     patch.setattr(goal_searches, "MotionSearch", searches)
     outcome = ToGoal(world.problem.goals).from_rest(world, world.stepper(START))
@@ -252,6 +253,18 @@ def test_a_short_search_is_repeated_if_refining_took_much_from_its_best(
         planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=10, refining_paid=paid
     )  # fmt: skip
     assert len(searches.seeds) == count
+
+
+@pytest.mark.parametrize(("postures", "freely"), [(12, [False]), (300, [False, True])])
+def test_a_short_search_is_followed_by_one_of_the_other_kind_if_there_are_many_postures(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, postures: int, freely: list[bool]
+) -> None:
+    found = iter([(10.0, DURATION), (5.0, DURATION), (4.0, DURATION)])
+    way, searches = way_of(
+        planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=10, postures=postures
+    )  # fmt: skip
+    assert searches.freely == freely
+    assert way == f"search {len(freely)}"
 
 
 @pytest.mark.parametrize(

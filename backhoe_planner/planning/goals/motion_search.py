@@ -178,6 +178,11 @@ class MotionSearch:
         return ""
 
     @property
+    def postures(self) -> int:
+        """How many postures on the goals are known."""
+        return len(self._ends.postures)
+
+    @property
     def rounds(self) -> int:
         """How many rounds its descents have made, without those for a fast motion and those that refine the best."""
         return self._descents.rounds_before_refining

@@ -24,6 +24,9 @@ from backhoe_planner.planning.world.world import World
 # rounds of the descents of a search for another cost than the time, without refining, above which another search may
 # find a much cheaper motion; chosen: two sites in three have more
 _HARD = 34
+# postures known to a search, from which on one of the other kind follows even if it was short, because it has drawn
+# only some of those that differ; chosen: for a backhoe they are a dozen or fewer
+_MANY = 40
 _FEWER = 3  # times fewer further searches for a cost that jumps, as each takes several times as long; chosen
 # part of the cost that a search begun anew must gain for another to follow; measured on 63 sites of three machines: of
 # 32 such searches three gained more than 1 %, and of nine that followed one without a gain, one did (1.1 %)
@@ -131,7 +134,9 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
 
     is_easy = os.environ.get("EASY") is None and first.rounds <= _HARD and not first.refining_paid
     frugal = is_frugal(world)
-    anew = 0 if frugal and is_easy else effort.restarts
+    anew = effort.restarts
+    if frugal and is_easy:
+        anew = min(anew, 1) if first.postures >= _MANY else 0
     goes_on = effort.restarts_round if first.leads_round and not frugal else 0
     if world.problem.objective.jumps:
         anew, goes_on = -(-anew // _FEWER), -(-goes_on // _FEWER)
