@@ -16,7 +16,7 @@ from backhoe_planner.planning.descent.descent import Descent
 from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.descent.starts import Start, StartPrices
 from backhoe_planner.planning.goals.free_descents import FreeDescents
-from backhoe_planner.planning.goals.free_starts import alike, free_starts, with_other_paces
+from backhoe_planner.planning.goals.free_starts import alike, free_starts, with_random_paces
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 from validation.goal_runs import with_objective
@@ -109,7 +109,7 @@ def test_paced_starts_have_the_same_ends_and_joints_that_never_turn_back(backhoe
     problem, rng = problem_of(backhoe, "work", point(backhoe, 5)), np.random.default_rng(6)
     start, end = backhoe.random_q(rng), backhoe.random_q(rng)
     line = Start(JointCurve.straight(start, end, PIECES), 1.0, problem.goals[0], "straight")
-    paced = list(with_other_paces(line, np.random.default_rng(0), 30))
+    paced = list(with_random_paces(line, np.random.default_rng(0), 30))
     assert len(paced) == 30
     assert len({one.curve.control.tobytes() for one in paced}) > 25
     for one in paced:

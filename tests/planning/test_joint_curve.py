@@ -8,7 +8,7 @@ from scipy.interpolate import BSpline
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
-from backhoe_planner.planning.descent.curve import JointCurve, basis, moment_changes, spread
+from backhoe_planner.planning.descent.curve import JointCurve, basis, divided_evenly, moment_changes, spread
 
 
 @pytest.mark.parametrize("pieces", [1, 2, 3, 5, 24])
@@ -113,6 +113,14 @@ def test_a_curve_of_twice_as_many_equal_pieces_is_the_same_curve_and_back(planar
     assert halved.pieces == 12
     np.testing.assert_allclose(halved(s), curve(s), atol=1e-12)
     np.testing.assert_allclose(halved.divided_evenly(6, limits).control, curve.control, atol=1e-12)
+
+
+@pytest.mark.parametrize("pieces", [4, 5, 12])
+def test_several_curves_are_divided_as_each_by_itself(planar4: bp.Robot, pieces: int) -> None:
+    limits = planar4.limits
+    control = np.random.default_rng(9).uniform(limits.lower, limits.upper, size=(5, 7, 4))
+    each = [JointCurve(one).divided_evenly(pieces, limits).control for one in control]
+    np.testing.assert_allclose(divided_evenly(control, pieces, limits), each, atol=1e-12)
 
 
 def test_a_motion_along_a_curve_is_fitted_by_that_curve(planar4: bp.Robot) -> None:

@@ -55,9 +55,7 @@ class Bend:
         duration: T now [s].
         """
         moving = (len(slope) - 1) // len(unit)
-        second = basis(pieces, _PLACES_PER_PIECE * pieces + 1, 2)[:, 1 : 1 + moving]
-        second = second / np.linalg.norm(second, 2)
-        each = second.T @ second + _EVEN * np.eye(moving)
+        each = bending(pieces, moving)
         curvature = np.zeros((len(slope), len(slope)))
         curvature[:-1, :-1] = np.kron(each, np.diag(1.0 / unit**2))
         curvature[-1, -1] = _EVEN * moving / duration**2
@@ -87,3 +85,13 @@ class Bend:
     def stiffer(self, factor: float) -> Bend:
         """The model after a failed step, with `factor` times the curvature, for shorter steps."""
         return replace(self, curvature=factor * self.curvature)
+
+
+def bending(pieces: int, moving: int) -> Matrix:
+    """(moving, moving) curvature of the squared second derivative by the first control points after the start.
+
+    That of the sharpest bend is about 1, and a shift of all control points has a little, too.
+    """
+    second = basis(pieces, _PLACES_PER_PIECE * pieces + 1, 2)[:, 1 : 1 + moving]
+    second = second / np.linalg.norm(second, 2)
+    return np.asarray(second.T @ second + _EVEN * np.eye(moving))

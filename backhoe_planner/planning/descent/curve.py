@@ -139,6 +139,14 @@ class JointCurve:
         return cls(_within(limits, _control_near(lines, pieces, ())))
 
 
+def divided_evenly(control: Array, pieces: int, limits: JointLimits) -> Array:
+    """(B, pieces + 1, n) control points as of `JointCurve.divided_evenly`, of B curves (B, L + 1, n) of even pieces."""
+    count, before, n = len(control), control.shape[1] - 1, control.shape[2]
+    q = basis(before, _SAMPLES_PER_PIECE * max(pieces, before) + 1, 0) @ control
+    found = _control_near(q.transpose(1, 0, 2).reshape(-1, count * n), pieces, ()).reshape(-1, count, n)
+    return np.ascontiguousarray(_within(limits, found).transpose(1, 0, 2))
+
+
 def from_rest_to_rest(part: Array) -> Array:
     """The part of the distance that is covered at a part of the time, 0 to 1."""
     return np.asarray(part * part * (3.0 - 2.0 * part))
@@ -180,8 +188,8 @@ def _control_near(q: Matrix, pieces: int, knots: tuple[float, ...]) -> Matrix:
     return control
 
 
-def _within(limits: JointLimits, control: Matrix) -> Matrix:
-    """(pieces + 1, n) control points, those between the ends moved into the limits."""
+def _within(limits: JointLimits, control: Array) -> Array:
+    """(pieces + 1, ..., n) control points, those between the ends moved into the limits."""
     control[1:-1] = np.clip(control[1:-1], limits.lower, limits.upper)
     return control
 

@@ -37,7 +37,7 @@ from backhoe_planner.motion import (
 )
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.kinks import Kinks
+from backhoe_planner.planning.descent.kinks import LEAST_WIDTH, Kinks, suitable_width
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel
 from backhoe_planner.planning.descent.looks import KEPT_PART, Looks
 from backhoe_planner.planning.descent.margins import Margins
@@ -59,9 +59,7 @@ NO_COST = 1e-9  # in the objective's unit: a smaller cost counts as this
 _GROW, _SHRINK = 1.5, 0.4  # factors on the box after a step that is taken, and after one that is not; chosen
 _SHORTENINGS = 2  # of a step that costs more, if the cost is not the time; chosen: each takes half of a round
 _SHORTEST = 0.1  # least part of a step that one shortening leaves; chosen
-# part of the mean cost per joint and second, by which the cost's kinks are rounded off; chosen
-_SOFT, _SOFTEST = 0.2, 1.5
-_LEAST_WIDTH = 1e-9  # in the objective's unit per second, so that a motion that costs nothing has a width too
+_SOFTEST = 1.5  # times the suitable width of kinks, above which it is made narrower; chosen
 # part of the cost of a motion if no energy were regained, below which its cost counts as nothing; chosen: below it the
 # programs become ill-conditioned
 _NOTHING = 1e-4
@@ -157,7 +155,7 @@ class Descent:
         self._unit = rate / float(np.max(rate))  # rad or m of each joint per unit of the box
         self._screens: dict[float, ClearanceScreen] = {}  # by the spare
         self._nothing = 0.0  # a cost that counts as nothing, in its unit
-        self._width = _LEAST_WIDTH  # by which kinks of the cost's rate are rounded off, in its unit per second
+        self._width = LEAST_WIDTH  # by which kinks of the cost's rate are rounded off, in its unit per second
         self._longest = np.inf  # s that the motion of this descent may take
         self._curved: Matrix | None = None  # the curvature learnt with a softer cost, in its unit
         self._times_missed = 1.0  # factor on the price of what a curve of this descent misses
@@ -258,7 +256,7 @@ class Descent:
     ) -> Timed | None:  # fmt: skip
         """One descent, see `run`; for another cost than the time, the result's cost is without rounded kinks."""
         free = goal if goal.q is None else None
-        looks, self._longest, self._width = self._looks(curve, spare, density, free), longest, _LEAST_WIDTH
+        looks, self._longest, self._width = self._looks(curve, spare, density, free), longest, LEAST_WIDTH
         here = self._timed(self._within_cones(curve, looks), max(duration, SAMPLE_PERIOD), looks)
         if here is None:
             return None
@@ -347,7 +345,7 @@ class Descent:
             self._curved = None if learnt is None else learnt.curvature * unit
         if self._own_time is None:
             return found
-        self._width = _LEAST_WIDTH
+        self._width = LEAST_WIDTH
         return self._priced(found)
 
     def estimates(self, curves: Sequence[JointCurve], durations: Vector, *, longest: float) -> Vector:
@@ -361,11 +359,11 @@ class Descent:
         assert self._own_time is not None
         T = self._own_time.least_durations(curves, durations, places=_PLACES_OF_LIMITS)
         late = np.maximum(T / longest - 1.0, 0.0)
-        costs = self._own_time.costs(curves, T, width=_LEAST_WIDTH, places=_PLACES_OF_ESTIMATE)
+        costs = self._own_time.costs(curves, T, width=LEAST_WIDTH, places=_PLACES_OF_ESTIMATE)
         return np.asarray(costs * (1.0 + _LATE * late))
 
     def _soft(self, here: Timed) -> float:
-        return max(_SOFT * max(here.cost, self._nothing) / here.duration / len(self._unit), _LEAST_WIDTH)
+        return float(suitable_width(max(here.cost, self._nothing), here.duration, len(self._unit)))
 
     def _rounded_off(self, here: Timed) -> Timed:
         """The same curve with the cost's kinks rounded off by a suitable width."""

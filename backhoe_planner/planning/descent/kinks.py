@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Matrix, Vector
 
+_SOFT = 0.2  # part of the mean cost per joint and second, by which kinks are rounded off; chosen
+LEAST_WIDTH = 1e-9  # in the objective's unit per second, so that a motion that costs nothing has a width too
 _LITTLE = 1e-3  # part of the cost by which a kink that is left out may change it; chosen
 _CROSSED = 0.2  # part of the width by which a step must pass a kink to cross it; chosen: then a fiftieth of it is lost
 
@@ -47,7 +49,7 @@ class Kinks:
         return self._rising_at(self.value)
 
     def _rising_at(self, value: Vector) -> Vector:
-        return np.minimum(np.maximum(value / self.width, 0.0), 1.0)
+        return rising(value, self.width)
 
     def turned(self, step: Vector) -> Vector:
         """(m,) how the slope of the cost changes with a step (m,)."""
@@ -131,6 +133,16 @@ class NearKinks:
         if not rise.any() and not fall.any():
             return self
         return replace(self, rise_crossed=self.rise_crossed | rise, fall_crossed=self.fall_crossed | fall)
+
+
+def suitable_width(cost: float | Vector, duration: float, joints: int) -> Vector:
+    """The width by which the kinks of a cost are rounded off, or (B,) of several costs [unit per second]."""
+    return np.maximum(_SOFT * cost / duration / joints, LEAST_WIDTH)
+
+
+def rising(parts: Array, width: float | Array) -> Array:
+    """The derivative of phi at `parts`, from 0 to 1."""
+    return np.minimum(np.maximum(parts / width, 0.0), 1.0)
 
 
 def rounded(parts: Array, width: float | Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.motion import Drive, Problem, cost_rate, moment_slopes
 from backhoe_planner.planning.descent.curve import JointCurve, moment_changes, spread
-from backhoe_planner.planning.descent.kinks import Kinks, rounded
+from backhoe_planner.planning.descent.kinks import Kinks, rising, rounded
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE
 from backhoe_planner.planning.descent.softening import soft_power
 
@@ -159,10 +159,11 @@ class OwnTime:
         n, width = q.shape[1], width[:, None]
         if self.problem.objective.is_positive_power:
             torque, slopes = self.drive.torque_slopes(q, v, a)
-            rate, rising = rounded(torque * v, width), np.clip(torque * v / width, 0.0, 1.0)
-            slope = np.einsum("kj,kjm->km", rising * v, slopes)
-            slope[:, n : 2 * n] += rising * torque
-            return np.sum(rate, axis=1), slope
+            power = torque * v
+            rises = rising(power, width)
+            slope = np.einsum("kj,kjm->km", rises * v, slopes)
+            slope[:, n : 2 * n] += rises * torque
+            return np.sum(rounded(power, width), axis=1), slope
         if self.problem.objective.is_squared_torque:
             torque, slopes = self.drive.torque_slopes(q, v, a)
             return np.sum(torque * torque, axis=1), np.einsum("kj,kjm->km", 2.0 * torque, slopes)

@@ -18,7 +18,9 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, movable_rows, solve_batch
 from backhoe_planner.motion import OBJECTIVES, Problem, drive_of
-from backhoe_planner.planning.descent.curve import JointCurve, basis, from_rest_to_rest
+from backhoe_planner.planning.descent.bend import bending
+from backhoe_planner.planning.descent.curve import JointCurve, basis, divided_evenly, from_rest_to_rest
+from backhoe_planner.planning.descent.kinks import LEAST_WIDTH, suitable_width
 from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.descent.starts import Start
 
@@ -29,14 +31,10 @@ _PLACES = 2  # of the cost's sum, for each piece; chosen
 _STAGES, _FEWEST = ((2, 0.3), (6, 1.0)), 24
 _FIRST, _LARGEST = 0.3, 0.6  # rad or m of the fastest joint that a step moves a control point: the first, and at most
 _GROW, _SHRINK = 1.5, 0.3  # factors on a step after one that cost less, and after one that did not; chosen
-_SOFT = 0.2  # part of the mean cost per joint and second, by which the cost's kinks are rounded off; as in a descent
-_LEAST_WIDTH = 1e-9  # in the objective's unit per second
-_EVEN = 0.02  # curvature of a shift of all control points, as a part of that of the sharpest bend; as in a descent
 _ONTO_GOAL = 3  # steps of the inverse kinematics after each step; chosen
 _DAMPING = 1e-9  # of the goals' rows, against rows that depend on each other
 _NO_MOVE = 1e-12  # rad or m: a smaller one counts as this
 _TOGETHER = 400  # starts that descend at once, to bound the memory
-_SAMPLES_PER_PIECE = 10  # to which curves with other pieces are fitted
 
 
 class FreeDescents:
@@ -57,9 +55,7 @@ class FreeDescents:
         self._limits, self._kinematics = problem.limits, BatchKinematics(problem.robot)
         rate = problem.limits.velocity
         self._unit = rate / float(np.max(rate))  # rad or m of each joint that count alike
-        second = basis(_PIECES, 3 * _PIECES + 1, 2)[:, 1:]
-        second = second / np.linalg.norm(second, 2)
-        self._smooth = np.linalg.inv(second.T @ second + _EVEN * np.eye(_PIECES))
+        self._smooth = np.linalg.inv(bending(_PIECES, _PIECES))
         self._weights = [basis(_PIECES, _PLACES * _PIECES + 1, k) / longest**k for k in range(3)]
 
     def bent(self, starts: Sequence[Start]) -> list[Start]:
@@ -70,7 +66,7 @@ class FreeDescents:
         if not starts:
             return []
         left, pieces = list(starts), starts[0].curve.pieces
-        control = self._fitted(np.array([start.curve.control for start in starts]), _PIECES)
+        control = divided_evenly(np.array([start.curve.control for start in starts]), _PIECES, self._limits)
         step: Vector = np.zeros(len(left))
         for steps, part in _STAGES:
             cost: Vector = np.zeros(len(left))
@@ -81,17 +77,8 @@ class FreeDescents:
             count = min(max(round(part * len(left)), _FEWEST), len(left))
             kept = np.sort(np.argsort(cost, kind="stable")[:count])
             left, control, step = [left[index] for index in kept.tolist()], control[kept], step[kept]
-        bent = self._fitted(control, pieces)
+        bent = divided_evenly(control, pieces, self._limits)
         return [replace(start, curve=JointCurve(own)) for start, own in zip(left, bent, strict=True)]
-
-    def _fitted(self, control: Array, pieces: int) -> Array:
-        """(B, pieces + 1, n) the curves of so many pieces nearest to those of `control`, (B, L + 1, n), in limits."""
-        before = control.shape[1] - 1
-        places = _SAMPLES_PER_PIECE * max(pieces, before) + 1
-        q, weights = basis(before, places, 0) @ control, basis(pieces, places, 0)
-        off = q - weights[:, :1] * q[:, :1] - weights[:, -1:] * q[:, -1:]
-        inner = np.clip(np.linalg.pinv(weights[:, 1:-1]) @ off, self._limits.lower, self._limits.upper)
-        return np.concatenate((q[:, :1], inner, q[:, -1:]), axis=1)
 
     def _down(self, control: Array, ends: _Ends, steps: int, step: Vector) -> tuple[Array, Vector, Vector]:
         """The control points (B, L + 1, n) after so many steps, their costs, and the sizes of the next steps (B,).
@@ -117,8 +104,9 @@ class FreeDescents:
 
     def _widths(self, control: Array) -> Vector:
         """(B,) by which the kinks of each curve's cost are rounded off."""
-        cost, _ = self._costs(control, np.full(len(control), _LEAST_WIDTH))
-        return np.asarray(np.maximum(_SOFT * cost / self._T / control.shape[2], _LEAST_WIDTH))
+        curves, T = [JointCurve(each) for each in control], np.full(len(control), self._T)
+        cost = self._own_time.costs(curves, T, width=LEAST_WIDTH, places=_PLACES)
+        return suitable_width(cost, self._T, control.shape[2])
 
     def _costs(self, control: Array, width: Vector) -> tuple[Vector, Array]:
         """(B,) the costs of curves, and (B, L + 1, n) their slopes by the control points."""

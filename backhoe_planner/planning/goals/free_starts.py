@@ -44,12 +44,12 @@ def free_starts(
     bent = prices.fair(prices.in_order(free.bent(lines)))
     best = prices.cheapest(bent, _ENDS_FOR_ONE * ways)
     count = _PACES_FOR_ONE * ways // max(len(best), 1)
-    paced = [start for one in best for start in with_other_paces(one.start, rng, count)]
+    paced = [start for one in best for start in with_random_paces(one.start, rng, count)]
     bent += prices.fair(prices.in_order(free.bent(paced)))
     return prices.fair(iter(sorted(bent, key=lambda one: one.price)))
 
 
-def with_other_paces(start: Start, rng: np.random.Generator, count: int) -> Iterator[Start]:
+def with_random_paces(start: Start, rng: np.random.Generator, count: int) -> Iterator[Start]:
     """So many straight ways between the ends of a start, on each of which some joints move early and some late."""
     control = start.curve.control
     u = np.linspace(0.0, 1.0, len(control))[:, None]

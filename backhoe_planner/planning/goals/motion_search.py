@@ -163,7 +163,7 @@ class MotionSearch:
                 self._go_freely() if self._freely else self._go_fast()
             if self.repeats:
                 return ""
-            if self.allowed_time is None and not self._freely:
+            if self.allowed_time is None:
                 self._go_straight(self._lines.least_blocked() if self._hurried else self._ends.order)
                 if not self._hurried and not self._is_enough():
                     self._go_straight(self._look_for_postures(None if self.best is None else self.best.motion.duration))

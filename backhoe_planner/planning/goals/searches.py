@@ -96,7 +96,6 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
     searches = () if ended or best is None else _further(search, world)
     # the costs of the first search with those that continue it, and of each search that was begun anew
     costs = [] if best is None else [best.cost]
-    anew = 0  # searches that were begun anew
     earlier: list[MotionSearch] = []  # that have ended; of those that continue each other, the last
     for number, goes_on in enumerate(searches, start=1):
         assert best is not None
@@ -108,10 +107,9 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
             continue
         before = search if goes_on else None
         earlier = earlier if goes_on or search.is_for_time else [*earlier, search]
-        anew += not goes_on
         search = MotionSearch(
             again, start, postures, time=time, longest=longest, before=before, earlier=earlier,
-            freely=not search.is_for_time and anew % _KINDS == 1,
+            freely=len(earlier) % _KINDS == 1,
         )  # fmt: skip
         ended, other = search.run(), search.best
         cost = math.inf if other is None or other.motion.duration > longest else other.cost
@@ -130,9 +128,7 @@ def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
     if first.is_for_time:
         return (False,) * (effort.restarts_long if first.takes_long else 0)
     # a result that was found quickly is mostly found again, unless much depended on refining it
-    import os
-
-    is_easy = os.environ.get("EASY") is None and first.rounds <= _HARD and not first.refining_paid
+    is_easy = first.rounds <= _HARD and not first.refining_paid
     frugal = is_frugal(world)
     anew = effort.restarts
     if frugal and is_easy:

@@ -64,7 +64,7 @@ class GoalEnds:
 
     def within(self, longest: float, apart: float) -> list[int]:
         """Postures reachable in `longest` [s]; of those not further than `apart` [s of joint time] only the soonest."""
-        soon = [index for index in self.order if self.least[index] <= longest]
+        soon = self._within(longest)
         return [soon[row] for row in find_distinct(self.at(soon) / self._rate, apart)]
 
     def many_within(self, longest: float, *, most: int, alike: Vector) -> list[int]:
@@ -74,13 +74,17 @@ class GoalEnds:
         ----------
         alike: (n,) how far each joint may turn or slide in a second that count alike [rad/s or m/s].
         """
-        soon = [index for index in self.order if self.least[index] <= longest]
+        soon = self._within(longest)
         places, apart = self.at(soon) / alike, _APART * longest
         found = find_distinct(places, apart)
         while len(found) > most:
             apart *= _FURTHER
             found = find_distinct(places, apart)
         return [soon[row] for row in found]
+
+    def _within(self, longest: float) -> list[int]:
+        """All postures reachable in `longest` [s], the soonest first."""
+        return [index for index in self.order if self.least[index] <= longest]
 
     def least_to(self, q: Vector) -> float:
         """A lower bound on the duration of any motion from the start to `q` (n,) [s]."""
