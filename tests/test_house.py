@@ -92,6 +92,7 @@ SUITES = {
         "report",
         "result",
         "world",
+        "multistart",
         "goals",
         "",
         "sequence",

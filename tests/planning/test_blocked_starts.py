@@ -13,10 +13,10 @@ from backhoe_planner.machine import GRAVITY
 from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.starts import PricedStart, Start
-from backhoe_planner.planning.goals.lift import Lift
-from backhoe_planner.planning.goals.motion_descents import MotionDescents
-from backhoe_planner.planning.goals.ways import Ways
+from backhoe_planner.planning.multistart.lift import Lift
+from backhoe_planner.planning.multistart.motion_descents import MotionDescents
+from backhoe_planner.planning.multistart.start_prices import PricedStart, Start
+from backhoe_planner.planning.multistart.ways import Ways
 from backhoe_planner.planning.search.goal_ends import GoalEnds
 
 PIECES = 60  # so many that a curve follows a detour to within millimetres

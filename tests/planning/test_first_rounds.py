@@ -15,10 +15,10 @@ from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.descent.margins import Margins
-from backhoe_planner.planning.descent.starts import Start
-from backhoe_planner.planning.goals.first_rounds import Field, GivesUp, after_first_rounds
-from backhoe_planner.planning.goals.motion_descents import MotionDescents
-from backhoe_planner.planning.goals.straight_lines import STRAIGHT
+from backhoe_planner.planning.multistart.first_rounds import Field, GivesUp, after_first_rounds
+from backhoe_planner.planning.multistart.motion_descents import MotionDescents
+from backhoe_planner.planning.multistart.start_prices import Start
+from backhoe_planner.planning.multistart.straight_lines import STRAIGHT
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.planning.search.goal_ends import GoalEnds
 from validation.goal_runs import with_objective

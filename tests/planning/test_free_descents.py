@@ -14,9 +14,9 @@ from backhoe_planner.motion import OBJECTIVES, Problem, build_problem, drive_of
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent
 from backhoe_planner.planning.descent.own_time import OwnTime
-from backhoe_planner.planning.descent.starts import Start, StartPrices
-from backhoe_planner.planning.goals.free_descents import FreeDescents
-from backhoe_planner.planning.goals.free_starts import alike, free_starts, with_random_paces
+from backhoe_planner.planning.multistart.free_descents import FreeDescents
+from backhoe_planner.planning.multistart.free_starts import alike, free_starts, with_random_paces
+from backhoe_planner.planning.multistart.start_prices import Start, StartPrices
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 from validation.goal_runs import with_objective

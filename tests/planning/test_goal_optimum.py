@@ -120,7 +120,7 @@ def test_a_motion_with_no_obstacle_beside_it_is_not_searched_for_detours(
         mapped.append(turn)
         yield from ()
 
-    monkeypatch.setattr("backhoe_planner.planning.goals.ways.Ways.through_roadmap", through_roadmap)
+    monkeypatch.setattr("backhoe_planner.planning.multistart.ways.Ways.through_roadmap", through_roadmap)
     # all links of the stretched arm move along arcs; the ball is on that of the second joint, or beyond all
     place = 2.0 if near else 6.0
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [0.88 * place, 0.48 * place, 0.0]}
@@ -140,7 +140,7 @@ def test_after_a_roadmap_in_vain_a_denser_one_searches_shorter_motions(
         asked.append((given["nodes"], given["longest"]))
         yield from ()
 
-    monkeypatch.setattr("backhoe_planner.planning.goals.ways.Ways.through_roadmap", through_roadmap)
+    monkeypatch.setattr("backhoe_planner.planning.multistart.ways.Ways.through_roadmap", through_roadmap)
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [1.76, 0.96, 0.0]}
     plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], ball))
     assert plan.verified, plan.message

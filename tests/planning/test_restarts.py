@@ -16,15 +16,15 @@ from backhoe_planner.motion import Goal, build_problem, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Timed
 from backhoe_planner.planning.descent.margins import Margins
-from backhoe_planner.planning.descent.starts import PricedStart, Start
-from backhoe_planner.planning.goals import motion_descents
 from backhoe_planner.planning.goals import searches as goal_searches
-from backhoe_planner.planning.goals.first_rounds import FirstRounds
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.goals.motion_descents import MotionDescents
 from backhoe_planner.planning.goals.motion_search import MotionSearch
-from backhoe_planner.planning.goals.ways import FoundMotion
+from backhoe_planner.planning.multistart import motion_descents
+from backhoe_planner.planning.multistart.first_rounds import FirstRounds
+from backhoe_planner.planning.multistart.motion_descents import MotionDescents
+from backhoe_planner.planning.multistart.start_prices import PricedStart, Start
+from backhoe_planner.planning.multistart.ways import FoundMotion
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, Work
 from backhoe_planner.planning.world.world import World
 

@@ -15,7 +15,7 @@ from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import OBJECTIVES, build_problem
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent
-from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
+from backhoe_planner.planning.multistart.start_prices import PricedStart, Start, StartPrices
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 from validation.goal_runs import with_objective

@@ -1,1 +1,1 @@
-"""Motions to a goal: postures, routes, and the best motion that is found."""
+"""Motions to a goal: postures, searches for the best motion, and the law where they find none."""

@@ -18,7 +18,6 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import travel_within
 from backhoe_planner.motion import Goal, Trajectory, motion_cost
 from backhoe_planner.planning.descent.descent import NO_COST
-from backhoe_planner.planning.descent.starts import PricedStart, StartPrices
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
     bound_behind,
@@ -26,11 +25,12 @@ from backhoe_planner.planning.goals.allowed_time import (
     fastest_with_room,
     has_room,
 )
-from backhoe_planner.planning.goals.free_starts import LINES_FOR_ONE, alike, free_starts
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.goals.motion_descents import FINE_ROUNDS, LEAST_GAIN, MotionDescents, holds_end
-from backhoe_planner.planning.goals.straight_lines import StraightLines
-from backhoe_planner.planning.goals.ways import FoundMotion, Ways
+from backhoe_planner.planning.multistart.free_starts import LINES_FOR_ONE, alike, free_starts
+from backhoe_planner.planning.multistart.motion_descents import FINE_ROUNDS, LEAST_GAIN, MotionDescents, holds_end
+from backhoe_planner.planning.multistart.start_prices import PricedStart, StartPrices
+from backhoe_planner.planning.multistart.straight_lines import StraightLines
+from backhoe_planner.planning.multistart.ways import FoundMotion, Ways
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, OutOfTime
 from backhoe_planner.planning.search.goal_ends import GoalEnds
 from backhoe_planner.planning.search.way_price import price_of

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.goals.lift import lift_of
-from backhoe_planner.planning.goals.motion_descents import is_frugal
 from backhoe_planner.planning.goals.motion_search import MotionSearch
-from backhoe_planner.planning.goals.ways import FoundMotion
+from backhoe_planner.planning.multistart.lift import lift_of
+from backhoe_planner.planning.multistart.motion_descents import is_frugal
+from backhoe_planner.planning.multistart.ways import FoundMotion
 from backhoe_planner.planning.search.effort import EFFORTS
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World

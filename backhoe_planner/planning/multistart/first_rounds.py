@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from backhoe_planner.planning.descent.descent import MISSED_WORTH, Timed
-from backhoe_planner.planning.descent.starts import Start
+from backhoe_planner.planning.multistart.start_prices import Start
 
 _FIRST_ROUNDS = 3  # of each start; measured: most of the fall of the cost happens in them
 _MUCH_CHEAPER = 0.7  # times the least cost of a clear start: a blocked start below it gets more rounds; chosen

@@ -16,11 +16,11 @@ from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
-from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
-from backhoe_planner.planning.goals.first_rounds import Field, GivesUp, after_first_rounds
-from backhoe_planner.planning.goals.lift import lift_of
-from backhoe_planner.planning.goals.straight_lines import STRAIGHT
-from backhoe_planner.planning.goals.ways import FoundMotion
+from backhoe_planner.planning.multistart.first_rounds import Field, GivesUp, after_first_rounds
+from backhoe_planner.planning.multistart.lift import lift_of
+from backhoe_planner.planning.multistart.start_prices import PricedStart, Start, StartPrices
+from backhoe_planner.planning.multistart.straight_lines import STRAIGHT
+from backhoe_planner.planning.multistart.ways import FoundMotion
 from backhoe_planner.planning.search.goal_ends import GoalEnds
 from backhoe_planner.planning.search.sampled_check import SampledCheck
 from backhoe_planner.planning.world.world import World

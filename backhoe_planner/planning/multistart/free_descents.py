@@ -22,7 +22,7 @@ from backhoe_planner.planning.descent.bend import bending
 from backhoe_planner.planning.descent.curve import JointCurve, basis, divided_evenly, from_rest_to_rest
 from backhoe_planner.planning.descent.kinks import LEAST_WIDTH, suitable_width
 from backhoe_planner.planning.descent.own_time import OwnTime
-from backhoe_planner.planning.descent.starts import Start
+from backhoe_planner.planning.multistart.start_prices import Start
 
 _PIECES = 4  # of each curve; chosen: 6 take a third longer, and the order of the starts is as good
 _PLACES = 2  # of the cost's sum, for each piece; chosen

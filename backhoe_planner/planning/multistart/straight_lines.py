@@ -8,7 +8,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.starts import Start
+from backhoe_planner.planning.multistart.start_prices import Start
 from backhoe_planner.planning.search.goal_ends import GoalEnds
 from backhoe_planner.site import ClearanceScreen
 

@@ -16,8 +16,8 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Dynamics
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning.descent.curve import from_rest_to_rest
-from backhoe_planner.planning.descent.starts import PricedStart, Start, StartPrices
-from backhoe_planner.planning.goals.free_descents import FreeDescents
+from backhoe_planner.planning.multistart.free_descents import FreeDescents
+from backhoe_planner.planning.multistart.start_prices import PricedStart, Start, StartPrices
 
 LINES_FOR_ONE = 100  # straight lines for each of `Effort.ways_at_once`; chosen
 _ENDS_FOR_ONE, _PACES_FOR_ONE = 2, 120  # ends to which other paces are tried, and paces of all of them; chosen

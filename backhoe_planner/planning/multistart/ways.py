@@ -13,7 +13,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Goal, Trajectory, drive_of, motion_cost, time_way
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.starts import Start
+from backhoe_planner.planning.multistart.start_prices import Start
 from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.goal_ends import GoalEnds
