@@ -21,7 +21,7 @@ from backhoe_planner.planning.goals.allowed_time import (
     fastest_with_room,
     has_room,
 )
-from backhoe_planner.planning.goals.motion_search import MotionSearch
+from backhoe_planner.planning.goals.time_search import TimeSearch
 from backhoe_planner.planning.search.effort import EFFORTS, Work
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import least_duration, least_duration_of_all
@@ -99,16 +99,15 @@ def test_without_a_proven_fast_motion_there_is_no_allowed_time_and_the_search_go
 ) -> None:
     """Descents have ended, but none was proven clear: their costs in infinite time say nothing."""
 
-    def unproven(self: MotionSearch, *args: Any, **kwargs: Any) -> MotionSearch | None:
-        search = search_fastest(self, *args, **kwargs)
-        assert search is not None
-        assert search.best is not None
-        search.ended.append(search.best)
-        search._descents.best = None
-        return search
+    def unproven(self: TimeSearch) -> str:
+        ended = run(self)
+        assert self.best is not None
+        self.ended.append(self.best)
+        self._incumbent.best = None
+        return ended
 
-    search_fastest = MotionSearch._search_fastest
-    monkeypatch.setattr(MotionSearch, "_search_fastest", unproven)
+    run = TimeSearch.run
+    monkeypatch.setattr(TimeSearch, "run", unproven)
     start = dict.fromkeys(planar4.joint_names, 0.1)
     content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"joints": start | {"joint1": 0.6}}}}
     plan = bp.plan(planar4, bp.scene_from_dict(content | {"objective": "work"}), effort="quick")

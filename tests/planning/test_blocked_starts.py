@@ -13,8 +13,9 @@ from backhoe_planner.machine import GRAVITY
 from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.multistart.cost_descents import CostDescents
+from backhoe_planner.planning.multistart.incumbent import Incumbent
 from backhoe_planner.planning.multistart.lift import Lift
-from backhoe_planner.planning.multistart.motion_descents import MotionDescents
 from backhoe_planner.planning.multistart.start_prices import PricedStart, Start
 from backhoe_planner.planning.multistart.ways import Ways
 from backhoe_planner.planning.search.goal_ends import GoalEnds
@@ -81,9 +82,7 @@ def test_starts_that_stay_in_an_obstacle_are_handed_out_once_the_cheapest_first(
         "rpy": [0, 0, 0.6],
     }
     world, _, line = line_through(planar4, wall)
-    ends = GoalEnds(world.problem, STRETCHED)
-    ends.take([TURNED], [line.goal])
-    descents = MotionDescents(world, STRETCHED, ends, time=0.0, longest=6.0)
+    descents = CostDescents(world, STRETCHED, Incumbent(world, time=0.0, longest=6.0), time=0.0)
     short = replace(line, curve=JointCurve.straight(STRETCHED, TURNED, 8))
     control = short.curve.control.copy()
     control[4, 3] += 0.3

@@ -15,12 +15,12 @@ from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.descent.margins import Margins
+from backhoe_planner.planning.multistart.cost_descents import CostDescents
 from backhoe_planner.planning.multistart.first_rounds import Field, GivesUp, after_first_rounds
-from backhoe_planner.planning.multistart.motion_descents import MotionDescents
+from backhoe_planner.planning.multistart.incumbent import Incumbent
 from backhoe_planner.planning.multistart.start_prices import Start
 from backhoe_planner.planning.multistart.straight_lines import STRAIGHT
 from backhoe_planner.planning.search.effort import Brake
-from backhoe_planner.planning.search.goal_ends import GoalEnds
 from validation.goal_runs import with_objective
 from validation.habitats import load_machine
 from validation.sites import SiteKey, random_site
@@ -162,17 +162,17 @@ def test_the_first_rounds_of_a_straight_line_are_twice_as_many_on_a_coarse_curve
     content: Any = {"version": 1, "start": {"joints": joints[0]}, "task": {"goal": {"joints": joints[1]}}}
     problem = replace(build_problem(backhoe, bp.scene_from_dict(content)), objective=OBJECTIVES["work"])
     world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
-    ends, goal = GoalEnds(problem, start), problem.goals[0]
-    ends.take([end], [goal])
-    descents = MotionDescents(world, start, ends, time=0.0, longest=12.0)
-    run, made = descents._descent.run, list[tuple[int, int]]()
+    goal = problem.goals[0]
+    descents = CostDescents(world, start, Incumbent(world, time=0.0, longest=12.0), time=0.0)
+    descent = descents.rounds.descent
+    run, made = descent.run, list[tuple[int, int]]()
 
     def note(curve: JointCurve, *given: Any, most_rounds: int, **how: Any) -> Timed | None:
         made.append((curve.pieces, most_rounds))
-        descents._descent.rounds += most_rounds
+        descent.rounds += most_rounds
         return run(curve, *given, most_rounds=0, **how)
 
-    monkeypatch.setattr(descents._descent, "run", note)
+    monkeypatch.setattr(descent, "run", note)
     counted = [0]
     for way in (STRAIGHT, "sampled"):
         line = Start(JointCurve.straight(start, end, 12), 6.0, goal, way)
@@ -180,7 +180,7 @@ def test_the_first_rounds_of_a_straight_line_are_twice_as_many_on_a_coarse_curve
         assert found is not None
         np.testing.assert_allclose(found.curve.control[[0, -1]], [start, end], atol=1e-9)
         assert found.curve.pieces == 12
-        counted.append(descents.rounds_before_refining)
+        counted.append(descents.rounds.made)
     assert made == [(6, 6), (12, 3)]
     assert np.diff(counted).tolist() == [2, 3]
 

@@ -164,7 +164,7 @@ def test_a_limit_binds_in_every_motion_to_a_goal_however_it_is_found(
     backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch, way: str, goal: list[float]
 ) -> None:
     if way == "fallback on the law":
-        monkeypatch.setattr("backhoe_planner.planning.goals.motion_search.MotionSearch.run", lambda _: "")
+        monkeypatch.setattr("backhoe_planner.planning.goals.time_search.TimeSearch.run", lambda _: "")
     scene = digger({"position": goal}, WALL)
     plan = bp.plan(backhoe, scene, effort="quick", method="reactive" if way == "law" else "auto")
     assert plan.verified, plan.message

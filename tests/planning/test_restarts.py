@@ -7,36 +7,25 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
+from one_joint_search import DURATION, END, START, ended_search, scene, world_of
 
 import backhoe_planner as bp
-from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import Goal, build_problem, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Timed
-from backhoe_planner.planning.descent.margins import Margins
 from backhoe_planner.planning.goals import searches as goal_searches
+from backhoe_planner.planning.goals.cost_search import CostSearch
 from backhoe_planner.planning.goals.goal_planning import ToGoal
-from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.goals.motion_search import MotionSearch
-from backhoe_planner.planning.multistart import motion_descents
+from backhoe_planner.planning.multistart import cost_descents
+from backhoe_planner.planning.multistart.cost_descents import CostDescents
 from backhoe_planner.planning.multistart.first_rounds import FirstRounds
-from backhoe_planner.planning.multistart.motion_descents import MotionDescents
+from backhoe_planner.planning.multistart.incumbent import FoundMotion, Incumbent
+from backhoe_planner.planning.multistart.refining import Refining
 from backhoe_planner.planning.multistart.start_prices import PricedStart, Start
-from backhoe_planner.planning.multistart.ways import FoundMotion
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, Work
 from backhoe_planner.planning.world.world import World
 
-START, END = np.full(4, 0.1), np.array([0.5, 0.1, 0.1, 0.1])
-DURATION = 4.0  # s of the first motion, which is allowed 5 s
 LONG = 5.0  # with the objective time, a cost above this counts as much longer than the joints need
-
-
-def scene(robot: bp.Robot, objective: str) -> bp.Scene:
-    joints = {name: dict(zip(robot.joint_names, q.tolist(), strict=True)) for name, q in (("s", START), ("e", END))}
-    content = {"version": 1, "start": {"joints": joints["s"]}, "task": {"goal": {"joints": joints["e"]}}}
-    return bp.scene_from_dict(content | {"objective": objective})
 
 
 class Searches:
@@ -98,20 +87,10 @@ def way_of(
         world.problem.goals[0], list(found), leads_round=leads_round, is_for_time=objective == "time",
         rounds=rounds, repeats=repeats, refining_paid=refining_paid, postures=postures,
     )  # fmt: skip
-    patch.setattr(goal_searches, "MotionSearch", searches)
+    patch.setattr(goal_searches, "TimeSearch" if objective == "time" else "CostSearch", searches)
     outcome = ToGoal(world.problem.goals).from_rest(world, world.stepper(START))
     assert not outcome.reason
     return outcome.findings.way or "", searches
-
-
-def ended_search(robot: bp.Robot) -> tuple[World, GoalPostures, MotionSearch]:
-    """A search for the least work to the goal that has ended, with its world and the postures on the goal."""
-    world = World(build_problem(robot, scene(robot, "work")), seed=5, work=Work(EFFORTS["normal"]))
-    found = find_goal_postures(world, world.problem.goals, near=START, time=0.0)
-    assert isinstance(found, GoalPostures)
-    search = MotionSearch(world, START, found, time=0.0)
-    assert search.run() == ""
-    return world, found, search
 
 
 @pytest.mark.parametrize(
@@ -268,50 +247,6 @@ def test_a_short_search_is_followed_by_one_of_the_other_kind_if_there_are_many_p
 
 
 @pytest.mark.parametrize(
-    ("refined", "begun_with", "best"),
-    [
-        # the first gains 5 %, so the others are refined, and the next refinement continues from the cheapest of all
-        ({10.0: 9.5, 11.0: 7.0, 11.5: 9.0, 7.0: 6.9}, [10.0, 11.0, 11.5, 7.0], 6.9),
-        ({10.0: 9.5, 11.0: 10.9, 11.5: 11.4, 9.5: 9.4}, [10.0, 11.0, 11.5, 9.5], 9.4),
-        ({10.0: 9.7}, [10.0], 9.7),  # 3 %: no more is tried
-        ({10.0: 10.1}, [10.0], 10.0),
-    ],
-)
-def test_if_refining_pays_the_cheapest_other_motions_are_refined_too(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, refined: dict[float, float], begun_with: list[float],
-    best: float,
-) -> None:  # fmt: skip
-    """Motions of 12.5, a quarter above the best, and a fourth one, are not refined."""
-    world, _, search = ended_search(planar4)
-    descents, curve = search._descents, JointCurve.straight(START, END, 12)
-    motion = time_evenly(curve, DURATION)
-    ended = [
-        FoundMotion(motion, cost, world.problem.goals[0], "straight", curve) for cost in (12.5, 11.5, 10.0, 11.9, 11.0)
-    ]
-    descents.ended, descents.best = ended, ended[2]
-    begun: list[float] = []
-
-    def bend(*_: Any, **__: Any) -> Timed:
-        return Timed(curve, DURATION, refined[begun[-1]], 0.0, Margins.none(4), within_limits=motion)
-
-    def finer(found: FoundMotion, pieces: int) -> bool:
-        begun.append(found.cost)
-        return refine(found, pieces)
-
-    def offer(found: FoundMotion) -> None:
-        if descents.best is None or found.cost < descents.best.cost:
-            descents.best = found
-
-    refine = descents._refine
-    for name, stub in (("_bend", bend), ("_refine", finer), ("offer", offer)):
-        monkeypatch.setattr(descents, name, stub)
-    descents.refine()
-    assert begun == begun_with
-    assert descents.best.cost == best
-    assert descents.gained_by_refining == pytest.approx(1.0 - best / 10.0)
-
-
-@pytest.mark.parametrize(
     ("known", "dear", "begun"),
     [
         ("", 1.0, "ab"),  # two motions
@@ -329,7 +264,7 @@ def test_a_descent_that_goes_where_another_one_ended_is_followed_by_one_from_the
     starts = {name: Start(curve, DURATION, goal, name) for name in "abcd"}
     costs = {"a": 10.0, "b": 11.0, "c": 12.0 * dear, "d": 13.0 * dear}
     rounds = FirstRounds([(costs[name], start) for name, start in starts.items()], [])
-    monkeypatch.setattr(motion_descents, "after_first_rounds", lambda *_, **__: rounds)
+    monkeypatch.setattr(cost_descents, "after_first_rounds", lambda *_, **__: rounds)
     run = ""
 
     def descend(start: Start) -> bool:
@@ -357,14 +292,13 @@ def test_a_descent_that_goes_where_another_one_ended_is_followed_by_one_from_the
 def test_a_search_ends_after_its_first_rounds_if_an_earlier_one_had_a_cheaper_start(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, earlier: tuple[float, float], run: str
 ) -> None:
-    world, _, search = ended_search(planar4)
-    descents = MotionDescents(world, START, search._ends, time=0.0, longest=5.0)
-    other = MotionDescents(world, START, search._ends, time=0.0, longest=5.0)
+    world = world_of(planar4)
+    descents, other = (CostDescents(world, START, Incumbent(world, time=0.0, longest=5.0), time=0.0) for _ in range(2))
     other.early, other.blocked = earlier
     descents.know_of([other])
     start = Start(JointCurve.straight(START, END, 12), DURATION, world.problem.goals[0], "a")
     rounds = FirstRounds([(10.3, start)], [])
-    monkeypatch.setattr(motion_descents, "after_first_rounds", lambda *_, **__: rounds)
+    monkeypatch.setattr(cost_descents, "after_first_rounds", lambda *_, **__: rounds)
     descended = ""
 
     def descend(start: Start) -> bool:
@@ -378,54 +312,18 @@ def test_a_search_ends_after_its_first_rounds_if_an_earlier_one_had_a_cheaper_st
     assert descents.falls_short == (not run)
 
 
-@pytest.mark.parametrize(("part", "refined"), [(0.9, False), (1.1, True)])
-def test_a_motion_that_costs_less_than_a_lift_by_a_millimetre_is_not_refined(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, part: float, refined: bool
-) -> None:
-    world, _, search = ended_search(planar4)
-    descents = search._descents
-    masses, _ = Dynamics(planar4).bodies()
-    motion = time_evenly(JointCurve.straight(START, END, 12), DURATION)
-    cost = part * 1e-3 * GRAVITY * float(np.sum(masses))
-    descents.best = FoundMotion(motion, cost, world.problem.goals[0], "straight")
-    begun: list[int] = []
-
-    def note(found: FoundMotion, pieces: int) -> bool:
-        begun.append(pieces)
-        return False
-
-    monkeypatch.setattr(descents, "_refine", note)
-    descents.refine()
-    assert bool(begun) == refined
-
-
-@pytest.mark.parametrize(("missed", "kept"), [(0.0029, True), (0.0031, False)])
-def test_a_refined_motion_that_uses_some_of_the_spare_of_3_mm_is_kept_if_it_is_proven(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, missed: float, kept: bool
-) -> None:
-    """Nothing is near, so that the motion is proven; one that misses all of the spare is not even tried."""
-    world, _, search = ended_search(planar4)
-    descents, curve = search._descents, JointCurve.straight(START, END, 12)
-    motion = time_evenly(curve, DURATION)
-    descents.best = FoundMotion(motion, 10.0, world.problem.goals[0], "straight", curve)
-    fine = Timed(curve, DURATION, 9.0, missed, Margins.none(4), within_limits=motion)
-    monkeypatch.setattr(descents, "_bend", lambda *_, **__: fine)
-    assert descents._refine(descents.best, 20)
-    assert descents.best.cost == (9.0 if kept else 10.0)
-
-
 def test_what_an_earlier_search_has_refined_is_not_refined_again(planar4: bp.Robot) -> None:
     """The same search with other random choices about its starts finds the same coarse motion."""
     world, found, first = ended_search(planar4)
     assert first.allowed_time is not None
-    again = MotionSearch(
+    again = CostSearch(
         world.anew(1, EFFORTS["normal"]), START, found, time=0.0, longest=first.allowed_time, earlier=[first]
     )
     again._tried, again._descents._to_beat = [], math.inf  # so that it is not ended before its descents
     assert again.run() == ""
     assert again.repeats
     assert again.best is not None
-    assert again.best.cost == pytest.approx(first._descents.unrefined_cost, rel=1e-6)
+    assert again.best.cost == pytest.approx(first._refining.cost_before, rel=1e-6)
     assert again.rounds > 0
 
 
@@ -449,7 +347,7 @@ def test_a_search_from_the_starts_of_an_earlier_one_ends_before_any_descent_for_
     assert not first.repeats
     assert not first.leads_round
     assert first.allowed_time is not None
-    again = MotionSearch(
+    again = CostSearch(
         world.anew(1, EFFORTS["normal"]), START, found, time=0.0, longest=first.allowed_time, earlier=[first]
     )
     assert again.run() == ""
@@ -470,32 +368,12 @@ def test_a_continued_search_keeps_the_best_and_refines_only_what_is_better(
 ) -> None:
     """A free motion of one joint: a continued search finds no better one, and refines no curve."""
     world, found, first = ended_search(planar4)
-    again = MotionSearch(world.anew(1, EFFORTS["normal"]), START, found, time=0.0, before=first)
+    again = CostSearch(world.anew(1, EFFORTS["normal"]), START, found, time=0.0, before=first)
     assert again.allowed_time == first.allowed_time
     coarse = again.best
     assert coarse is not None
-    monkeypatch.setattr(MotionDescents, "refine", lambda *_: pytest.fail("a curve is refined"))
+    monkeypatch.setattr(Refining, "run", lambda *_: pytest.fail("a curve is refined"))
     assert again.run() == ""
     assert again.best is coarse
     assert first.best is not None
     assert first.best.cost <= coarse.cost
-
-
-@pytest.mark.long
-def test_a_motion_that_costs_nothing_is_not_refined(backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A swing by 0.1 mrad beside a wall costs less than a nanojoule."""
-
-    refine = MotionDescents.refine
-
-    def for_the_time(self: MotionDescents) -> None:
-        assert self._problem.objective.is_time
-        refine(self)
-
-    monkeypatch.setattr(MotionDescents, "refine", for_the_time)
-    start = dict(zip(backhoe.joint_names, (-0.9, 0.3, -1.4, -0.8), strict=True))
-    wall = {"name": "wall", "shape": "box", "size": [3.0, 0.3, 2.0], "position": [3.2, 0.3, 0.0]}
-    content = {"version": 1, "start": {"joints": start}, "obstacles": [wall], "objective": "work"}
-    goal = {"joints": start | {"swing": -0.9 + 1e-4}}
-    plan = bp.plan(backhoe, bp.scene_from_dict(content | {"task": {"goal": goal}}), seed=3)
-    assert plan.verified, plan.message
-    assert 0.0 <= plan.metrics.energy["work"] < 1e-9

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
+from backhoe_planner.planning.goals.cost_search import CostSearch
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.goals.motion_search import MotionSearch
-from backhoe_planner.planning.multistart.lift import lift_of
-from backhoe_planner.planning.multistart.motion_descents import is_frugal
-from backhoe_planner.planning.multistart.ways import FoundMotion
+from backhoe_planner.planning.goals.time_search import TimeSearch
+from backhoe_planner.planning.multistart.incumbent import FoundMotion
+from backhoe_planner.planning.multistart.lift import is_frugal, lift_of
 from backhoe_planner.planning.search.effort import EFFORTS
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
@@ -47,7 +47,7 @@ class Searched:
     Attributes
     ----------
     best: the best motion; None if none was found.
-    allowed_time: how long a motion may take [s], see `MotionSearch.allowed_time`.
+    allowed_time: how long a motion may take [s], see `CostSearch.allowed_time`; None if the time is the cost.
     looked_at: how many motions the first search checked in samplings that found no route.
     routes: how many routes it found by sampling.
     ended: that time ran out, in words; otherwise empty.
@@ -88,26 +88,58 @@ def _begin(world: World, start: Vector, goals: Sequence[Goal], *, time: float) -
 
 
 def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Goal], *, time: float) -> Searched:
-    """The best motion of a first search and of further ones, none longer than the first allows."""
-    search = MotionSearch(world, start, found, time=time)
-    ended, is_long = search.run(), search.takes_long
-    best, allowed, looked_at, routes = search.best, search.allowed_time, search.looked_at, search.routes
+    """The best motion of a first search, which has `found` postures, and of further ones."""
+    search = _search_fastest if world.problem.objective.is_time else _search_cheapest
+    return search(world, start, found, goals, time=time)
+
+
+def _search_fastest(
+    world: World, start: Vector, found: GoalPostures, goals: Sequence[Goal], *, time: float
+) -> Searched:  # fmt: skip
+    """The fastest motion; further searches follow until one finds a motion that does not take long."""
+    search = TimeSearch(world, start, found, time=time)
+    ended, best = search.run(), search.best
+    looked_at, routes = search.looked_at, search.routes
+    restarts = world.work.effort.restarts_long if search.takes_long and not ended else 0
+    for number in range(1, restarts + 1):
+        assert best is not None
+        again = _anew(world, number)
+        postures = find_goal_postures(again, goals, near=start, time=time)
+        if isinstance(postures, Outcome):
+            continue
+        search = TimeSearch(again, start, postures, time=time)
+        ended, other = search.run(), search.best
+        if other is not None and other.cost < best.cost:
+            best = other
+            world.show(best.motion, attempt=number, best=best.cost)
+        if ended or (other is not None and not search.takes_long):
+            break
+    return Searched(best, None, looked_at, routes, ended)
+
+
+def _search_cheapest(
+    world: World, start: Vector, found: GoalPostures, goals: Sequence[Goal], *, time: float
+) -> Searched:  # fmt: skip
+    """The cheapest motion; no further search finds one that is longer than the first search allows."""
+    search = CostSearch(world, start, found, time=time)
+    ended, best, allowed = search.run(), search.best, search.allowed_time
+    looked_at, routes = search.looked_at, search.routes
     longest = math.inf if allowed is None else allowed
     searches = () if ended or best is None else _further(search, world)
     # the costs of the first search with those that continue it, and of each search that was begun anew
     costs = [] if best is None else [best.cost]
-    earlier: list[MotionSearch] = []  # that have ended; of those that continue each other, the last
+    earlier: list[CostSearch] = []  # that have ended; of those that continue each other, the last
     for number, goes_on in enumerate(searches, start=1):
         assert best is not None
-        if not goes_on and not search.is_for_time and not _may_find_less(costs, world, start, found):
+        if not goes_on and not _may_find_less(costs, world, start, found):
             break
-        again = world.anew(number, replace(EFFORTS["normal"], frugal=world.work.effort.frugal))
+        again = _anew(world, number)
         postures = find_goal_postures(again, goals, near=start, time=time)
         if isinstance(postures, Outcome):
             continue
         before = search if goes_on else None
-        earlier = earlier if goes_on or search.is_for_time else [*earlier, search]
-        search = MotionSearch(
+        earlier = earlier if goes_on else [*earlier, search]
+        search = CostSearch(
             again, start, postures, time=time, longest=longest, before=before, earlier=earlier,
             freely=len(earlier) % _KINDS == 1,
         )  # fmt: skip
@@ -117,16 +149,19 @@ def _search(world: World, start: Vector, found: GoalPostures, goals: Sequence[Go
             best = other
             world.show(best.motion, attempt=number, best=best.cost)
         costs = [best.cost] if goes_on else [*costs, min(costs) if search.repeats else cost]
-        if ended or (is_long and other is not None and not search.takes_long):
+        if ended:
             break
     return Searched(best, allowed, looked_at, routes, ended)
 
 
-def _further(first: MotionSearch, world: World) -> tuple[bool, ...]:
+def _anew(world: World, number: int) -> World:
+    """The world of a further search: the normal effort, with random choices of its own."""
+    return world.anew(number, replace(EFFORTS["normal"], frugal=world.work.effort.frugal))
+
+
+def _further(first: CostSearch, world: World) -> tuple[bool, ...]:
     """The further searches after one that has found a motion: true for one that continues it, false for a new one."""
     effort = world.work.effort
-    if first.is_for_time:
-        return (False,) * (effort.restarts_long if first.takes_long else 0)
     # a result that was found quickly is mostly found again, unless much depended on refining it
     is_easy = first.rounds <= _HARD and not first.refining_paid
     frugal = is_frugal(world)

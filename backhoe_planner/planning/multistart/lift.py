@@ -9,6 +9,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import Problem
+from backhoe_planner.planning.world.world import World
 
 # m: lifting all moving masses so far takes the energy that is worth another search. Chosen among 0.05 to 0.4 mm on 97
 # plans: with 0.2 mm as many are within 1.1 of the best known as with 0.05 mm, in 0.80 (Panda) and 0.85 (backhoe) of the
@@ -48,3 +49,18 @@ class Lift:
         """By how much `start` (n,) is below the lowest of `ends`, (n,) each [J]; 0 if it is not below."""
         lowest = min(map(self._dynamics.potential_energy, ends))
         return max(lowest - self._dynamics.potential_energy(start), 0.0)
+
+
+def is_frugal(world: World) -> bool:
+    """Whether searches end where little more can be expected: with such an effort, for little work.
+
+    What starts and searches cost at first says less about their ends for a cost that jumps, or that does not count the
+    lift: with `effort` a motion of the Panda then cost 1.44 times as much.
+    """
+    objective = world.problem.objective
+    return world.work.effort.frugal and objective.lifts and not objective.jumps
+
+
+def little_cost(world: World) -> float:
+    """A cost at which searches end, in the objective's unit; 0 if they are not frugal."""
+    return Lift(world.problem).little if is_frugal(world) else 0.0

@@ -6,13 +6,14 @@ A start that goes through obstacles becomes one that goes around them, along sam
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.motion import Goal, Trajectory, drive_of, motion_cost, time_way
+from backhoe_planner.motion import drive_of, motion_cost, time_way
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.multistart.start_prices import Start
 from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.effort import Work
@@ -34,28 +35,6 @@ _PLACES = 12  # along a motion, by which a roadmap knows its route; chosen
 # brings what is between them there; chosen
 _LEAST_CONE = 0.1
 _SEEDS_APART = 1_000_003  # a prime, so that plans with neighbouring seeds draw different routes
-
-
-@dataclass(frozen=True, eq=False)
-class FoundMotion:
-    """A motion to a goal.
-
-    Attributes
-    ----------
-    motion: from rest to rest, its time from 0.
-    cost: by the problem's objective.
-    goal: where it ends.
-    way: how it was found, in words.
-    curve: the curve that is run over the motion's time at an even pace; None if there is none.
-    free: whether it is known that nothing is near it, so that it does not go around anything.
-    """
-
-    motion: Trajectory
-    cost: float
-    goal: Goal
-    way: str
-    curve: JointCurve | None = None
-    free: bool = False
 
 
 class Ways:
