@@ -94,10 +94,16 @@ def test_the_bound_is_cached_as_long_as_its_problem_lives(planar4: bp.Robot, mon
     assert alive() is None
 
 
+@pytest.mark.parametrize(
+    ("effort", "objective"), [("quick", "work"), pytest.param("normal", "effort", marks=pytest.mark.long)]
+)
 def test_without_a_proven_fast_motion_there_is_no_allowed_time_and_the_search_goes_on(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, effort: Any, objective: str
 ) -> None:
-    """Descents have ended, but none was proven clear: their costs in infinite time say nothing."""
+    """Descents have ended, but none was proven clear: their costs in infinite time say nothing.
+
+    The normal effort searches again, and none of its searches may begin with descents in infinite time.
+    """
 
     def unproven(self: TimeSearch) -> str:
         ended = run(self)
@@ -110,7 +116,7 @@ def test_without_a_proven_fast_motion_there_is_no_allowed_time_and_the_search_go
     monkeypatch.setattr(TimeSearch, "run", unproven)
     start = dict.fromkeys(planar4.joint_names, 0.1)
     content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"joints": start | {"joint1": 0.6}}}}
-    plan = bp.plan(planar4, bp.scene_from_dict(content | {"objective": "work"}), effort="quick")
+    plan = bp.plan(planar4, bp.scene_from_dict(content | {"objective": objective}), effort=effort)
     assert plan.verified, plan.message
     assert plan.findings.allowed_time is None
 

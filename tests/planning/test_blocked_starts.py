@@ -13,6 +13,8 @@ from backhoe_planner.machine import GRAVITY
 from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.goals.cost_search import CostSearch
+from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.multistart.cost_descents import CostDescents
 from backhoe_planner.planning.multistart.incumbent import Incumbent
 from backhoe_planner.planning.multistart.lift import Lift
@@ -92,6 +94,21 @@ def test_starts_that_stay_in_an_obstacle_are_handed_out_once_the_cheapest_first(
     assert len(found) == 2
     assert [cost for cost, _ in found] == sorted(cost for cost, _ in found)
     assert descents.take_blocked() == []
+
+
+def test_without_an_allowed_time_routes_are_tried_but_no_detours(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No fast motion is proven clear, so that a blocked start has no duration; a motion round the bar is found."""
+    monkeypatch.setattr(CostSearch, "_find_fast", lambda _: [])
+    world, _, _ = line_through(planar4, BAR)
+    found = find_goal_postures(world, world.problem.goals, near=STRETCHED, time=0.0)
+    assert isinstance(found, GoalPostures)
+    search = CostSearch(world, STRETCHED, found, time=0.0)
+    assert search.run() == ""
+    assert search.allowed_time is None
+    assert search.best is not None
+    assert search._descents.take_blocked()
 
 
 def test_a_cost_is_near_the_lift_up_to_a_twentieth_and_what_is_worth_a_search(backhoe: bp.Robot) -> None:

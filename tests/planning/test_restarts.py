@@ -34,8 +34,9 @@ class Searches:
     def __init__(
         self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False, is_for_time: bool = False,
         rounds: int = 0, repeats: bool = False, refining_paid: bool = False, postures: int = 1,
+        allowed_time: float | None = 5.0,
     ) -> None:  # fmt: skip
-        self.postures = postures
+        self.postures, self.allowed_time = postures, allowed_time
         self._repeats, self.refining_paid = repeats, refining_paid
         self._goal, self._left, self.leads_round, self.is_for_time = goal, iter(found), leads_round, is_for_time
         self.rounds = rounds
@@ -45,7 +46,6 @@ class Searches:
         self.before: list[Any] = []
         self.earlier: list[int] = []
         self.freely: list[bool] = []
-        self.allowed_time = 5.0
         self.looked_at = self.routes = 0
         self.best: FoundMotion | None = None
 
@@ -79,13 +79,13 @@ class Searches:
 def way_of(
     robot: bp.Robot, objective: str, found: Iterator[tuple[float, float]], patch: Any, *,
     effort: Effort | None = None, leads_round: bool = False, rounds: int = 0, repeats: bool = False,
-    refining_paid: bool = False, postures: int = 1,
+    refining_paid: bool = False, postures: int = 1, allowed_time: float | None = 5.0,
 ) -> tuple[str, Searches]:  # fmt: skip
     effort = effort or replace(EFFORTS["thorough"], begins_with="", restarts=3)
     world = World(build_problem(robot, scene(robot, objective)), seed=5, work=Work(effort))
     searches = Searches(
         world.problem.goals[0], list(found), leads_round=leads_round, is_for_time=objective == "time",
-        rounds=rounds, repeats=repeats, refining_paid=refining_paid, postures=postures,
+        rounds=rounds, repeats=repeats, refining_paid=refining_paid, postures=postures, allowed_time=allowed_time,
     )  # fmt: skip
     patch.setattr(goal_searches, "TimeSearch" if objective == "time" else "CostSearch", searches)
     outcome = ToGoal(world.problem.goals).from_rest(world, world.stepper(START))
@@ -201,6 +201,19 @@ def test_long_searches_for_least_work_are_repeated_until_one_gains_little(
     assert searches.before == [None] * len(costs)
     assert searches.earlier == list(range(len(costs)))
     assert searches.freely == [False, True, False, True][: len(costs)]
+
+
+@pytest.mark.parametrize(("allowed", "freely"), [(5.0, [False, True, False]), (None, [False, False, False])])
+def test_no_search_begins_with_descents_in_infinite_time(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, allowed: float | None, freely: list[bool]
+) -> None:
+    """How long a motion may take is not known if no fast motion is proven clear."""
+    found = iter([(10.0, DURATION), (12.0, DURATION), (9.9, DURATION)])
+    _, searches = way_of(
+        planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=90, allowed_time=allowed
+    )  # fmt: skip
+    assert searches.freely == freely
+    assert searches.longest == [math.inf, *[allowed or math.inf] * 2]
 
 
 @pytest.mark.parametrize(

@@ -204,7 +204,8 @@ class CostSearch(MotionSearch):
         The cost of a route says little about the result of a descent, and sampled routes differ more from each other
         than the cheapest through roadmaps.
         """
-        self._go_around(turn)
+        if self.allowed_time is not None:
+            self._go_around(turn)
         is_sampled = turn % 2 == 1 or not self._has_roadmaps
         return self._follow(self._sampled(turn) if is_sampled else self._mapped(turn, dull))
 

@@ -141,7 +141,7 @@ def _search_cheapest(
         earlier = earlier if goes_on else [*earlier, search]
         search = CostSearch(
             again, start, postures, time=time, longest=longest, before=before, earlier=earlier,
-            freely=len(earlier) % _KINDS == 1,
+            freely=allowed is not None and len(earlier) % _KINDS == 1,
         )  # fmt: skip
         ended, other = search.run(), search.best
         cost = math.inf if other is None or other.motion.duration > longest else other.cost
