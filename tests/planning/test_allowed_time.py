@@ -12,8 +12,9 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.motion import build_problem, time_evenly
-from backhoe_planner.planning.descent import descent
+from backhoe_planner.planning.descent import descent_of_cost
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.descent import Options
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
     bound_behind,
@@ -132,7 +133,7 @@ def test_a_motion_whose_samples_exceed_the_allowed_time_is_shortened(
         factor = next(slower, 1.0) if len(args) > 2 else 1.0
         return bp.Trajectory.from_steps(motion.time * factor, motion.q)
 
-    monkeypatch.setattr(descent, "time_evenly", timed)
+    monkeypatch.setattr(descent_of_cost, "time_evenly", timed)
     start = dict.fromkeys(planar4.joint_names, 0.1)
     content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"joints": start | {"joint1": 0.6}}}}
     problem = build_problem(planar4, bp.scene_from_dict(content | {"objective": "velocity_norm"}))
@@ -140,9 +141,11 @@ def test_a_motion_whose_samples_exceed_the_allowed_time_is_shortened(
     goal, longest = problem.goals[0], 4.0
     assert problem.start_q is not None
     assert goal.q is not None
-    found = descent.Descent(problem, world.proximity, world.kinematics, time=0.0, brake=world.work.brake).run(
+    found = descent_of_cost.DescentOfCost(
+        problem, world.proximity, world.kinematics, time=0.0, brake=world.work.brake
+    ).run(
         JointCurve.straight(problem.start_q, goal.q, 6), longest, goal,
-        most_rounds=6, spare=0.003, density=1, box=0.25, is_hopeless=lambda here, rounds: False, longest=longest,
+        Options(6, spare=0.003, density=1, box=0.25, longest=longest),
     )  # fmt: skip
     assert found is not None
     assert next(slower, None) is None

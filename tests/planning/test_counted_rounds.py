@@ -2,79 +2,73 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
-from bar_scenes import STRETCHED, TURNED, problem_of
+from one_joint_search import END, START
 
-import backhoe_planner as bp
-from backhoe_planner.motion import OBJECTIVES
-from backhoe_planner.planning import EFFORTS, Work, World
+from backhoe_planner.planning import EFFORTS, Work
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.descent import Options
 from backhoe_planner.planning.multistart.counted_rounds import CountedRounds
 
 
-def counted(robot: bp.Robot, objective: str, monkeypatch: pytest.MonkeyPatch) -> tuple[CountedRounds, Work, list[Any]]:
-    """Rounds among no obstacles, of descents that make all they may, with the arguments of each."""
-    problem = replace(problem_of(robot, STRETCHED, TURNED, []), objective=OBJECTIVES[objective])
-    world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
-    rounds, given = CountedRounds(world, time=0.0), list[Any]()
+class AllRounds:
+    """Descents that make all rounds they may."""
 
-    def make_all(*_: Any, most_rounds: int, **how: Any) -> None:
-        rounds.descent.rounds += most_rounds
-        given.append({"most_rounds": most_rounds, **how})
+    def __init__(self) -> None:
+        self.rounds, self.given = 0, list[Options]()
 
-    monkeypatch.setattr(rounds.descent, "run", make_all)
-    return rounds, world.work, given
+    def run(self, curve: JointCurve, duration: float, goal: Any, options: Options) -> None:
+        self.rounds += options.most_rounds
+        self.given.append(options)
 
 
-def run(rounds: CountedRounds, most: int, *, longest: float = np.inf, in_one: int = 1) -> None:
-    curve, goal = JointCurve.straight(STRETCHED, TURNED, 6), None
-    rounds.run(
-        curve, 4.0, goal, most, spare=0.003, density=2, box=0.1, is_hopeless=lambda here, rounds: False,  # type: ignore[arg-type]
-        longest=longest, in_one=in_one,
-    )  # fmt: skip
+def counted(*, in_one: int = 1) -> tuple[CountedRounds, Work, list[Options]]:
+    descent: Any = AllRounds()
+    work = Work(EFFORTS["normal"])
+    return CountedRounds(work, descent, in_one=in_one), work, descent.given
+
+
+def run(rounds: CountedRounds, most: int, **how: Any) -> None:
+    goal: Any = None
+    rounds.run(JointCurve.straight(START, END, 6), 4.0, goal, Options(most, 0.003, 2, 0.1), **how)
 
 
 @pytest.mark.parametrize(
-    ("objective", "in_one", "used", "made"),
+    ("in_one", "coarse_in_one", "used", "made"),
     [
-        ("time", 1, 20, 20),
-        ("work", 1, 7, 20),  # three rounds count as one
-        ("hydraulic", 1, 4, 20),  # six for a cost that jumps
-        ("work", 3, 3, 7),  # on a coarse curve nine, and three as one that is made
+        (1, 1, 20, 20),
+        (3, 1, 7, 20),  # three rounds count as one
+        (6, 1, 4, 20),
+        (3, 3, 3, 7),  # on a coarse curve nine, and three as one that is made
     ],
 )
 def test_rounds_for_another_cost_and_on_coarse_curves_count_less(
-    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch, objective: str, in_one: int, used: int, made: int
+    in_one: int, coarse_in_one: int, used: int, made: int
 ) -> None:
-    rounds, work, _ = counted(backhoe, objective, monkeypatch)
-    run(rounds, 20, in_one=in_one)
+    rounds, work, _ = counted(in_one=in_one)
+    run(rounds, 20, coarse_in_one=coarse_in_one)
     assert work.descent_rounds == EFFORTS["normal"].descent_rounds - used
     assert rounds.made == made
 
 
-def test_no_more_rounds_are_made_than_are_left_beside_the_reserved_ones(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_more_rounds_are_made_than_are_left_beside_the_reserved_ones() -> None:
     """Of 70 rounds for the time, 60 are reserved at first."""
-    rounds, work, given = counted(planar4, "time", monkeypatch)
+    rounds, work, given = counted()
     rounds.reserve(60)
     assert rounds.left == 10
     run(rounds, 24)
     assert rounds.left == 0
     rounds.reserve(0)
     run(rounds, 24)
-    assert [each["most_rounds"] for each in given] == [10, 24]
+    assert [each.most_rounds for each in given] == [10, 24]
     assert work.descent_rounds == rounds.left == 36
 
 
-@pytest.mark.parametrize(("longest", "given"), [(np.inf, 6.0), (5.0, 5.0)])
-def test_a_motion_may_take_half_as_long_again_while_no_longest_time_is_known(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, longest: float, given: float
-) -> None:
-    rounds, _, how = counted(planar4, "work", monkeypatch)
-    run(rounds, 3, longest=longest)
-    assert how[0]["longest"] == given
+def test_of_rounds_that_take_less_time_more_may_be_made() -> None:
+    rounds, _, given = counted(in_one=3)
+    rounds.reserve(65)
+    assert (rounds.left, rounds.left_of_cost) == (5, 15)
+    run(rounds, 80)
+    assert given[0].most_rounds == 15

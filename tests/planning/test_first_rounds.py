@@ -13,7 +13,8 @@ from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import OBJECTIVES, build_problem
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Descent, Timed
+from backhoe_planner.planning.descent.descent import Options, Timed
+from backhoe_planner.planning.descent.descent_of_cost import DescentOfCost
 from backhoe_planner.planning.descent.margins import Margins
 from backhoe_planner.planning.multistart.cost_descents import CostDescents
 from backhoe_planner.planning.multistart.first_rounds import Field, GivesUp, after_first_rounds
@@ -141,12 +142,12 @@ def test_a_curve_leaves_an_obstacle_only_if_clearance_comes_first(backhoe: bp.Ro
     proximity = bp.Proximity(backhoe, problem.obstacles)
     missed = {}
     for clear_first in (False, True):
-        descent = Descent(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
-        found = descent.run(
-            JointCurve.straight(start, end, 12), 12.0, problem.goals[0], most_rounds=14, spare=0.003, density=3,
-            box=0.25, longest=12.0, unsampled=True, clear_first=clear_first,
-            is_hopeless=lambda here, rounds: here.missed <= 0.0015,
+        descent = DescentOfCost(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
+        options = Options(
+            14, spare=0.003, density=3, box=0.25, is_hopeless=lambda here, rounds: here.missed <= 0.0015, longest=12.0,
+            unsampled=True, clear_first=clear_first,
         )  # fmt: skip
+        found = descent.run(JointCurve.straight(start, end, 12), 12.0, problem.goals[0], options)
         assert found is not None
         missed[clear_first] = found.missed
     assert missed[True] <= 0.0015
@@ -164,13 +165,13 @@ def test_the_first_rounds_of_a_straight_line_are_twice_as_many_on_a_coarse_curve
     world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
     goal = problem.goals[0]
     descents = CostDescents(world, start, Incumbent(world, time=0.0, longest=12.0), time=0.0)
-    descent = descents.rounds.descent
+    descent = descents._descent
     run, made = descent.run, list[tuple[int, int]]()
 
-    def note(curve: JointCurve, *given: Any, most_rounds: int, **how: Any) -> Timed | None:
-        made.append((curve.pieces, most_rounds))
-        descent.rounds += most_rounds
-        return run(curve, *given, most_rounds=0, **how)
+    def note(curve: JointCurve, duration: float, goal: Any, options: Options) -> Timed | None:
+        made.append((curve.pieces, options.most_rounds))
+        descent.rounds += options.most_rounds
+        return run(curve, duration, goal, replace(options, most_rounds=0))
 
     monkeypatch.setattr(descent, "run", note)
     counted = [0]

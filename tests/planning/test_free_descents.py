@@ -12,7 +12,7 @@ import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, Kinematics
 from backhoe_planner.motion import OBJECTIVES, Problem, build_problem, drive_of
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Descent
+from backhoe_planner.planning.descent.descent_of_cost import DescentOfCost
 from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.multistart.free_descents import FreeDescents
 from backhoe_planner.planning.multistart.free_starts import alike, free_starts, with_random_paces
@@ -137,7 +137,7 @@ def test_the_joints_that_move_little_mass_count_little(panda: bp.Robot) -> None:
 def test_the_same_lines_give_the_same_starts_in_order_of_price(backhoe: bp.Robot) -> None:
     problem, longest = problem_of(backhoe, "work", point(backhoe, 8)), 8.0
     proximity = Proximity(backhoe, problem.obstacles)
-    descent = Descent(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
+    descent = DescentOfCost(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
     prices = StartPrices(descent, ClearanceScreen(proximity, time=0.0), longest=longest)
     lines = lines_to_point(backhoe, problem, 10, seed=9)
     one, other = (free_starts(problem, lines, prices, longest=longest, ways=1) for _ in range(2))

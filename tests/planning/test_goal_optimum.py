@@ -14,7 +14,8 @@ from backhoe_planner.machine import Dynamics
 from backhoe_planner.motion import Goal, build_problem, drive_of, limit_usage, motion_cost, time_curve
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve, basis
-from backhoe_planner.planning.descent.descent import Descent
+from backhoe_planner.planning.descent.descent import Options
+from backhoe_planner.planning.descent.descent_of_time import DescentOfTime
 from backhoe_planner.planning.descent.linear_model import LinearModel
 from backhoe_planner.planning.descent.looks import Looks
 from backhoe_planner.planning.descent.margins import find_margins
@@ -351,8 +352,8 @@ def test_a_descent_does_not_raise_the_cost_and_its_end_stays_on_the_goal(backhoe
         return False
 
     line = JointCurve.straight(problem.start_q, end, 12)
-    found = Descent(problem, world.proximity, world.kinematics, time=0.0, brake=world.work.brake).run(
-        line, 4.0, goal, most_rounds=10, spare=0.003, density=2, box=0.25, is_hopeless=note
+    found = DescentOfTime(problem, world.proximity, world.kinematics, time=0.0, brake=world.work.brake).run(
+        line, 4.0, goal, Options(10, spare=0.003, density=2, box=0.25, is_hopeless=note)
     )
     assert found is not None
     assert len(costs) > 2
@@ -371,14 +372,12 @@ def test_a_hurried_descent_ends_once_its_first_program_promises_little(backhoe: 
     curve, T = JointCurve.straight(problem.start_q, end, 8), 4.0
     ends_at_once = {}
     for hurried in (False, True):
-        descent = Descent(
+        descent = DescentOfTime(
             problem, world.proximity, world.kinematics, time=0.0, brake=world.work.brake, hurried=hurried
         )  # fmt: skip
         for _ in range(3):
             before = descent.rounds
-            found = descent.run(
-                curve, T, goal, most_rounds=40, spare=0.003, density=2, box=0.1, is_hopeless=lambda here, rounds: False
-            )
+            found = descent.run(curve, T, goal, Options(40, spare=0.003, density=2, box=0.1))
             assert found is not None
             # without hurry, the descent takes the step all the same or tries shorter ones
             ends_at_once[hurried] = found.curve is curve and descent.rounds - before == 1

@@ -14,7 +14,7 @@ import backhoe_planner as bp
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import OBJECTIVES, build_problem
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Descent
+from backhoe_planner.planning.descent.descent_of_cost import DescentOfCost
 from backhoe_planner.planning.multistart.start_prices import PricedStart, Start, StartPrices
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
@@ -30,7 +30,7 @@ def test_paced_starts_have_the_same_ends_and_early_or_even_or_late_joints(backho
     scene = bp.scene_from_dict({"version": 1, "start": middle, "task": {"goal": middle}})
     problem = replace(build_problem(backhoe, scene), objective=OBJECTIVES["work"])
     proximity = Proximity(backhoe, problem.obstacles)
-    descent = Descent(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
+    descent = DescentOfCost(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
     screen = ClearanceScreen(proximity, time=0.0)
     longest = 6.0  # s: short, so that starts count as far apart
     prices = StartPrices(descent, screen, longest=longest)
@@ -72,7 +72,7 @@ def test_starts_are_in_order_of_price_and_the_chosen_are_cheap_and_far_apart(
     content = {"version": 1, "start": middle, "task": {"goal": middle}, "obstacles": [ball]}
     problem = replace(build_problem(backhoe, bp.scene_from_dict(content)), objective=OBJECTIVES["work"])
     proximity = Proximity(backhoe, problem.obstacles)
-    descent = Descent(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
+    descent = DescentOfCost(problem, proximity, Kinematics(backhoe), time=0.0, brake=Brake())
     screen = ClearanceScreen(proximity, time=0.0)
     prices = StartPrices(descent, screen, longest=LONGEST)
     rng = np.random.default_rng(7)

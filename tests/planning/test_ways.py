@@ -12,9 +12,9 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.planning import MotionCheck, Work, sample_path
-from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import step_onto
+from backhoe_planner.planning.multistart.alike import KnownCurves
 from backhoe_planner.site import Proximity
 
 LEFT, RIGHT = np.array([1.5, 0.0, 0.0, 0.0]), np.array([-1.5, 0.0, 0.0, 0.0])

@@ -14,7 +14,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import motion_cost
-from backhoe_planner.planning.descent.descent import NO_COST
+from backhoe_planner.planning.descent.descent_of_cost import NO_COST
 from backhoe_planner.planning.goals.fast_motions import fast_motions
 from backhoe_planner.planning.goals.goal_postures import GoalPostures
 from backhoe_planner.planning.goals.motion_search import MotionSearch

@@ -13,8 +13,10 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Timed
+from backhoe_planner.planning.descent.descent import Options, Timed
+from backhoe_planner.planning.descent.descent_of_cost import DescentOfCost
 from backhoe_planner.planning.descent.looks import KEPT_PART
+from backhoe_planner.planning.multistart.counted_rounds import CountedRounds
 from backhoe_planner.planning.multistart.first_rounds import Field, GivesUp, after_first_rounds
 from backhoe_planner.planning.multistart.incumbent import FoundMotion, Incumbent
 from backhoe_planner.planning.multistart.lift import is_frugal, little_cost
@@ -35,6 +37,8 @@ from backhoe_planner.site import ClearanceScreen
 # a curve of 12 pieces. On an open site of the Panda the rank correlation of the costs after the first rounds and at
 # the end is 0.60 with 6 rounds on 6 pieces, in 75 ms, and 0.20 with 3 rounds on 12 pieces, in 116 ms
 _COARSE_PIECES, _COARSE_FOR_ONE, _COARSE_IN_ONE = 6, 2, 3
+_ROUNDS_IN_ONE = 3  # rounds for another cost that count as one for the time, as no curve is timed in them; measured
+_SOFTENED = 2  # times more rounds for a cost that jumps, which is softened ever less in turn; measured
 _MORE_ROUNDS = 80  # of a descent at most; the cost keeps falling for longer than the time; chosen
 # rounds after which it is checked whether a descent goes where another one has ended, and the factor on the other's
 # cost in the comparison; chosen: in a round the cost counts some percent too little, because kinks are rounded off
@@ -59,6 +63,7 @@ class CostDescents(MotionDescents):
 
     Attributes
     ----------
+    more: factor on the rounds of each descent, because the cost jumps.
     blocked, early: the cost after the first rounds of the cheapest start that stays in an obstacle, and of the
         cheapest one that gets clear; infinite if there is none.
     falls_short: whether all starts cost more after their first rounds than the cheapest of other searches, and none
@@ -68,8 +73,14 @@ class CostDescents(MotionDescents):
     def __init__(
         self, world: World, start: Vector, incumbent: Incumbent, *, time: float, before: CostDescents | None = None
     ) -> None:  # fmt: skip
+        self._descent = DescentOfCost(
+            world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake,
+            hurried=world.work.effort.is_hurried,
+        )  # fmt: skip
+        self.more = _SOFTENED if world.problem.objective.jumps else 1
+        rounds = CountedRounds(world.work, self._descent, in_one=_ROUNDS_IN_ONE * self.more)
         super().__init__(
-            world, start, incumbent, time=time, most_rounds=_MORE_ROUNDS,
+            world, start, incumbent, rounds, time=time, most_rounds=_MORE_ROUNDS * self.more,
             looks=_LATER_LOOKS if before is None else (_SOON, *_LATER_LOOKS), no_less=_NO_LESS,
             uses_reserve=world.work.effort.is_hurried,  # in a hurry no descent follows
         )  # fmt: skip
@@ -89,7 +100,7 @@ class CostDescents(MotionDescents):
 
     def prices(self, screen: ClearanceScreen, *, alike: Vector | None = None) -> StartPrices:
         """The prices of starts among the obstacles of `screen`; for `alike` see `StartPrices`."""
-        return StartPrices(self.rounds.descent, screen, longest=self.incumbent.longest, alike=alike)
+        return StartPrices(self._descent, screen, longest=self.incumbent.longest, alike=alike)
 
     @property
     def begun(self) -> tuple[JointCurve, ...]:
@@ -144,7 +155,7 @@ class CostDescents(MotionDescents):
         self, start: Start, rounds: int, *, gives_up: GivesUp, density: int = 1, clear_first: bool = False
     ) -> Timed | None:  # fmt: skip
         """See `FewRounds`; of a straight line on a coarse curve, so that the same time shows more of its result."""
-        curve, pieces, longest = start.curve, start.curve.pieces, self.incumbent.longest
+        curve, pieces = start.curve, start.curve.pieces
         in_a_hurry = self._effort.is_hurried
         coarse = start.way == STRAIGHT and pieces > _COARSE_PIECES and not clear_first and not in_a_hurry
         if coarse:
@@ -154,11 +165,13 @@ class CostDescents(MotionDescents):
         def is_over(here: Timed, rounds: int) -> bool:
             return (clear_first and here.missed <= KEPT_PART * SPARE) or gives_up(here, rounds / for_one)
 
-        found = self.rounds.run(
-            curve, max(start.duration, longest), start.goal, rounds,
-            spare=SPARE, density=density, box=FIRST_BOX, is_hopeless=is_over, longest=longest, unsampled=True,
-            clear_first=clear_first, rough=coarse and self._is_frugal, in_one=_COARSE_IN_ONE if coarse else 1,
+        duration = max(start.duration, self.incumbent.longest)
+        options = Options(
+            rounds, SPARE, density, FIRST_BOX, is_over, longest=self._longest(duration), unsampled=True,
+            clear_first=clear_first, rough=coarse and self._is_frugal,
         )  # fmt: skip
+        in_one = _COARSE_IN_ONE if coarse else 1
+        found = self.rounds.run(curve, duration, start.goal, options, coarse_in_one=in_one)
         if not coarse or found is None:
             return found
         return replace(found, curve=found.curve.divided_evenly(pieces, self._problem.limits))

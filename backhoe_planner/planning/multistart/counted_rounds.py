@@ -2,44 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import numpy as np
+from dataclasses import replace
 
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Descent, Timed
-from backhoe_planner.planning.world.world import World
-
-_ROUNDS_IN_ONE = 3  # rounds for another cost that count as one for the time, as no curve is timed in them; measured
-_SOFTENED = 2  # times more rounds for a cost that jumps, which is softened ever less in turn; measured
-_SLOWER = 1.5  # times the duration of a start, that a descent from it may take while no longest time is known; chosen
+from backhoe_planner.planning.descent.descent import Descent, Options, Timed
+from backhoe_planner.planning.search.effort import Work
 
 
 class CountedRounds:
     """The rounds of the descents of one search, which are subtracted from the work of its world.
 
-    Rounds for another cost than the time take less of the processor's time: several of them count as one of
-    `Effort.descent_rounds`.
-
     Parameters
     ----------
-    time: at which the positions of the obstacles are taken [s].
-
-    Attributes
-    ----------
     descent: what makes the rounds.
-    more: factor on the rounds of each descent, because the cost jumps.
+    in_one: how many of them take as long as one for the time, and count as one of `Effort.descent_rounds`.
     """
 
-    def __init__(self, world: World, *, time: float) -> None:
-        self._work, objective = world.work, world.problem.objective
-        self.descent = Descent(
-            world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake,
-            hurried=world.work.effort.is_hurried,
-        )  # fmt: skip
-        self.more = _SOFTENED if objective.jumps else 1
-        self._in_one = 1 if objective.is_time else _ROUNDS_IN_ONE * self.more
+    def __init__(self, work: Work, descent: Descent, *, in_one: int = 1) -> None:
+        self._work, self._descent, self._in_one = work, descent, in_one
         self._reserved = 0  # of `Effort.descent_rounds`
         self._not_counted = 0  # rounds on coarse curves, which take less time, beyond those for which they count
 
@@ -54,35 +35,27 @@ class CountedRounds:
 
     @property
     def left_of_cost(self) -> int:
-        """How many rounds of a descent for the problem's cost these are."""
+        """How many rounds of a descent these are."""
         return self.left * self._in_one
 
     @property
     def made(self) -> int:
         """How many rounds were made so far, fewer for those on coarse curves."""
-        return self.descent.rounds - self._not_counted
+        return self._descent.rounds - self._not_counted
 
     def run(
-        self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
-        spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool], longest: float,
-        unsampled: bool = False, rough: bool = False, clear_first: bool = False, fine: bool = False,
-        in_one: int = 1,
+        self, curve: JointCurve, duration: float, goal: Goal, options: Options, *, coarse_in_one: int = 1
     ) -> Timed | None:  # fmt: skip
-        """At most so many rounds of a descent, and no more than are left; see `Descent.run`.
+        """A descent of no more rounds than are left; see `Descent.run`.
 
         Parameters
         ----------
-        longest: the longest time that the motion may take [s]; if it is infinite, one and a half times `duration`.
-        in_one: how many rounds on a coarse curve take as long as one, and count as one.
+        coarse_in_one: how many rounds on a coarse curve take as long as one, and count as one.
         """
-        before = self.descent.rounds
-        found = self.descent.run(
-            curve, duration, goal,
-            most_rounds=min(rounds, self.left_of_cost), spare=spare, density=density, box=box, is_hopeless=is_hopeless,
-            longest=longest if np.isfinite(longest) else _SLOWER * duration,
-            unsampled=unsampled, rough=rough, clear_first=clear_first, fine=fine,
-        )  # fmt: skip
-        made = self.descent.rounds - before
-        self._work.descent_rounds -= -(-made // (self._in_one * in_one))
-        self._not_counted += made - -(-made // in_one)
+        before = self._descent.rounds
+        rounds = min(options.most_rounds, self.left_of_cost)
+        found = self._descent.run(curve, duration, goal, replace(options, most_rounds=rounds))
+        made = self._descent.rounds - before
+        self._work.descent_rounds -= -(-made // (self._in_one * coarse_in_one))
+        self._not_counted += made - -(-made // coarse_in_one)
         return found

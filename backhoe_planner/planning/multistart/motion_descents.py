@@ -9,10 +9,10 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
-from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Timed
+from backhoe_planner.planning.descent.descent import Options, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
+from backhoe_planner.planning.multistart.alike import KnownCurves
 from backhoe_planner.planning.multistart.counted_rounds import CountedRounds
 from backhoe_planner.planning.multistart.incumbent import FoundMotion, Incumbent
 from backhoe_planner.planning.multistart.start_prices import Start
@@ -27,6 +27,7 @@ FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a
 SMALL_BOX = 0.1  # the same for a descent that is continued
 FINE_PIECES = 20  # of the best curve at the end
 FINE_ROUNDS = 6  # of the best curve at the end
+_SLOWER = 1.5  # times the duration of a start, that a descent from it may take while no longest time is known; chosen
 _TRIED = 4  # rounds after which a descent is judged
 FAR_OFF = 0.06  # m by which a clearance is missed then: hopeless if another motion is known; chosen
 FURTHER_OFF = 0.1  # m: the same if none is known; chosen
@@ -40,26 +41,25 @@ class MotionDescents(ABC):
     ----------
     start: (n,) where the machine is [rad or m].
     incumbent: takes the motions.
+    rounds: makes and counts the rounds.
     time: at which the positions of the obstacles are taken [s].
-    most_rounds: of one descent; more if the cost jumps.
+    most_rounds: of one descent.
     looks: rounds after which it is checked whether a descent goes where another one has ended.
     no_less: factor on the other's cost in that comparison.
     uses_reserve: whether a descent that is continued may use all rounds that are left, because none follows.
 
     Attributes
     ----------
-    incumbent: the best motion so far.
-    rounds: makes and counts their rounds.
     ended: the motions at which descents ended, some of them not proven.
     """
 
     def __init__(
-        self, world: World, start: Vector, incumbent: Incumbent, *, time: float, most_rounds: int,
-        looks: tuple[int, ...], no_less: float = 1.0, uses_reserve: bool = False,
+        self, world: World, start: Vector, incumbent: Incumbent, rounds: CountedRounds, *, time: float,
+        most_rounds: int, looks: tuple[int, ...], no_less: float = 1.0, uses_reserve: bool = False,
     ) -> None:  # fmt: skip
         self._problem, self._effort = world.problem, world.work.effort
-        self.incumbent, self.rounds = incumbent, CountedRounds(world, time=time)
-        self._most_rounds, self._uses_reserve = most_rounds * self.rounds.more, uses_reserve
+        self.incumbent, self.rounds = incumbent, rounds
+        self._most_rounds, self._uses_reserve = most_rounds, uses_reserve
         self._looks, self._no_less = looks, no_less
         self._known = KnownCurves(
             world.problem.limits,
@@ -98,10 +98,8 @@ class MotionDescents(ABC):
             return self._is_hopeless(here, rounds) or (here.missed <= KEPT_PART * spare and here.cost <= least)
 
         for _ in range(_PROOFS):
-            found = self.rounds.run(
-                curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=is_over,
-                longest=self.incumbent.longest, rough=self._effort.rough,
-            )  # fmt: skip
+            options = Options(rounds, spare, density, box, is_over, self._longest(duration), rough=self._effort.rough)
+            found = self.rounds.run(curve, duration, goal, options)
             if self._uses_reserve:
                 self.rounds.reserve(0)
             if found is None or found.missed > (NEARLY if self.rounds.left_of_cost > 0 else KEPT_PART * spare):
@@ -122,12 +120,15 @@ class MotionDescents(ABC):
 
     def descend_finely(self, found: FoundMotion, curve: JointCurve, duration: float, rounds: int) -> None:
         """Run a descent from a motion on a finer curve over a duration [s], and keep the result if it is better."""
-        fine = self.rounds.run(
-            curve, duration, found.goal, rounds, spare=SPARE, density=2, box=SMALL_BOX,
-            is_hopeless=lambda here, rounds: False, longest=self.incumbent.longest, fine=True,
-        )  # fmt: skip
+        options = Options(rounds, SPARE, density=2, box=SMALL_BOX, longest=self._longest(duration), fine=True)
+        fine = self.rounds.run(curve, duration, found.goal, options)
         if fine is not None and fine.missed <= SPARE:  # the proof decides: a descent may end with less spare
             self.incumbent.offer(replace(found, motion=fine.motion, cost=fine.cost, curve=self._even_curve(fine)))
+
+    def _longest(self, duration: float) -> float:
+        """The longest time for a descent from a curve with this duration [s]."""
+        longest = self.incumbent.longest
+        return longest if np.isfinite(longest) else _SLOWER * duration
 
     def _is_hopeless(self, here: Timed, rounds: int) -> bool:
         """Whether a descent is given up at a curve after so many rounds."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.multistart.cost_descents import CostDescents
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.multistart.lift import is_frugal, little_cost
-from backhoe_planner.planning.multistart.motion_descents import FINE_PIECES, FINE_ROUNDS, MotionDescents
+from backhoe_planner.planning.multistart.motion_descents import FINE_PIECES, FINE_ROUNDS
 from backhoe_planner.planning.world.world import World
 
 # of the best curve, in turn, with pieces of different lengths; and the most pieces times joints, because the programs
@@ -34,7 +35,7 @@ class Refining:
     before: the best motion before it was refined; None until then.
     """
 
-    def __init__(self, world: World, descents: MotionDescents) -> None:
+    def __init__(self, world: World, descents: CostDescents) -> None:
         self._problem, self._hurried = world.problem, world.work.effort.is_hurried
         self._much = _MUCH_GAIN_FRUGAL if is_frugal(world) else _MUCH_GAIN
         self._little = little_cost(world)
@@ -100,6 +101,6 @@ class Refining:
         if curve is None:
             curve = JointCurve.fitted(found.motion, FINE_PIECES, limits)
         duration = min(found.motion.duration, descents.incumbent.longest)
-        rounds = FINE_ROUNDS * _FINER * descents.rounds.more
+        rounds = FINE_ROUNDS * _FINER * descents.more
         descents.descend_finely(found, curve.finer(pieces, limits.velocity), duration, rounds)
         return True

@@ -11,7 +11,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.descent.curve import JointCurve, from_rest_to_rest
-from backhoe_planner.planning.descent.descent import Descent
+from backhoe_planner.planning.descent.descent_of_cost import DescentOfCost
 from backhoe_planner.site import ClearanceScreen
 
 _PLACES = 25  # of a curve, that are checked for collisions; chosen, about every 2 to 10 cm of the tip
@@ -49,7 +49,7 @@ class StartPrices:
 
     Parameters
     ----------
-    descent: of another cost than the time.
+    descent: estimates the costs.
     screen: of the obstacles.
     longest: the longest time that a motion may take [s].
     alike: (n,) how far each joint may turn or slide in a second that count alike in distances between starts [rad/s or
@@ -57,7 +57,7 @@ class StartPrices:
     """
 
     def __init__(
-        self, descent: Descent, screen: ClearanceScreen, *, longest: float, alike: Vector | None = None
+        self, descent: DescentOfCost, screen: ClearanceScreen, *, longest: float, alike: Vector | None = None
     ) -> None:
         self._descent, self._screen, self._longest = descent, screen, longest
         self._alike = descent.rate if alike is None else alike

@@ -6,6 +6,8 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, Problem
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Timed
+from backhoe_planner.planning.descent.descent_of_time import DescentOfTime
+from backhoe_planner.planning.multistart.counted_rounds import CountedRounds
 from backhoe_planner.planning.multistart.incumbent import FoundMotion, Incumbent
 from backhoe_planner.planning.multistart.motion_descents import FAR_OFF, FINE_PIECES, FINE_ROUNDS, MotionDescents
 from backhoe_planner.planning.search.goal_ends import GoalEnds
@@ -26,7 +28,12 @@ class TimeDescents(MotionDescents):
     """
 
     def __init__(self, world: World, start: Vector, ends: GoalEnds, incumbent: Incumbent, *, time: float) -> None:
-        super().__init__(world, start, incumbent, time=time, most_rounds=_ROUNDS, looks=_LOOKS)
+        descent = DescentOfTime(
+            world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake,
+            hurried=world.work.effort.is_hurried,
+        )  # fmt: skip
+        rounds = CountedRounds(world.work, descent)
+        super().__init__(world, start, incumbent, rounds, time=time, most_rounds=_ROUNDS, looks=_LOOKS)
         self._ends = ends
 
     def refine(self) -> None:
