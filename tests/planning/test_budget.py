@@ -113,7 +113,7 @@ def test_a_motion_is_kept_if_time_runs_out_in_the_search_for_a_better_one(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = site(BEHIND, start=BENT, obstacles=[POST])
-    monkeypatch.setattr(f"{ROOM}.goals.ways.blend", clock.runs_out_at(blend, number=2))
+    monkeypatch.setattr(f"{ROOM}.multistart.ways.blend", clock.runs_out_at(blend, number=2))
     plan = bp.plan(planar4, scene)
     assert (plan.verdict, plan.reason) == ("verified", "")
     assert plan.message.startswith("time ran out after 60 s of computing; ")
