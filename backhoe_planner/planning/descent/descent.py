@@ -231,6 +231,11 @@ class Descent(ABC):
         return None
 
 
+def is_astray(here: Timed, clear: Timed, looks: Looks) -> bool:
+    """Whether the curve `here` is not clear, and that of an earlier round, `clear`, is."""
+    return here.missed > looks.allowed >= clear.missed
+
+
 def step_onto(J: Matrix, error: Vector, q: Vector, limits: JointLimits) -> Vector:
     """(n,) the least step that corrects an error, by the joints that can move: none beyond a limit that it is at."""
     free = np.ones(len(q), dtype=bool)

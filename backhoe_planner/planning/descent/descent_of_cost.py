@@ -29,6 +29,7 @@ from backhoe_planner.planning.descent.descent import (
     Descent,
     Options,
     Timed,
+    is_astray,
 )
 from backhoe_planner.planning.descent.kinks import LEAST_WIDTH, Kinks, suitable_width
 from backhoe_planner.planning.descent.looks import KEPT_PART, Looks
@@ -157,7 +158,7 @@ class DescentOfCost(Descent):
         before: Timed | None = None  # the curve before the last step, if `now.bend` is still that of it
         while self.rounds - begun < options.most_rounds:
             if options.is_hopeless(now.here, steps):
-                if now.here.missed <= looks.allowed or clear.here.missed > looks.allowed:
+                if not is_astray(now.here, clear.here, looks):
                     break
                 now, before = replace(clear, box=min(now.box, clear.box)).after_failure(1.0), None
                 continue
@@ -169,8 +170,8 @@ class DescentOfCost(Descent):
                 clear = replace(clear, bend=now.bend) if clear.here is now.here else clear
             if self._width > _SOFTEST * self._soft(now.here):
                 now = self._narrower(now, free, unit)
-                keeps_clear = clear.here.missed <= looks.allowed < now.here.missed
-                clear = replace(clear, here=self._priced(clear.here) if keeps_clear else now.here)
+                last = self._priced(clear.here) if is_astray(now.here, clear.here, looks) else now.here
+                clear = replace(clear, here=last)
             steps, self.rounds = steps + 1, self.rounds + 1
             worst, known = now.here.cost + price * now.here.missed, looks.known
             there = self._step(now, free, looks, below=worst)
@@ -181,13 +182,12 @@ class DescentOfCost(Descent):
                     clear = replace(clear, here=seen) if clear.here is now.here else clear
                     now = replace(now, here=seen)
                     worst = seen.cost + price * seen.missed
-                if there.cost < worst <= there.cost + price * there.missed:
-                    there = self._cleared(now, there, free, looks, price, below=worst)
+                there = self._cleared(now, there, free, looks, price)
                 there, part = self._shortened(now.here, there, free, looks, now.bend.slope * unit, price)
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
                 failed += 1
-                if failed >= STUCK and now.here.missed > looks.allowed >= clear.here.missed:
+                if failed >= STUCK and is_astray(now.here, clear.here, looks):
                     now = replace(clear, box=min(now.box, clear.box))
                 if there is not None:
                     looks.widen(there.margins)
@@ -212,7 +212,7 @@ class DescentOfCost(Descent):
                 break
         if before is not None and self._problem.objective.jumps:
             now = replace(now, bend=self._learnt(now.bend, before, now.here, free, unit))
-        found = clear if now.here.missed > looks.allowed >= clear.here.missed else now
+        found = clear if is_astray(now.here, clear.here, looks) else now
         self._curved = found.bend.curvature * unit if self._problem.objective.jumps else None
         self._width = LEAST_WIDTH
         return self._priced(found.here)
@@ -288,13 +288,16 @@ class DescentOfCost(Descent):
             there = shorter
         return there, part
 
-    def _cleared(
-        self, now: _State, there: Timed, goal: Goal | None, looks: Looks, price: float, *, below: float
-    ) -> Timed:  # fmt: skip
-        """The curve `there`, or a better one after a step that also keeps the clearances linearised at `there`."""
+    def _cleared(self, now: _State, there: Timed, goal: Goal | None, looks: Looks, price: float) -> Timed:
+        """The curve `there`, or one after a step that also keeps the clearances linearised at `there`.
+
+        The step is tried if `there` costs less but misses too much, and its curve is taken if it is better.
+        """
+        worst, worth = now.here.cost + price * now.here.missed, there.cost + price * there.missed
+        if not there.cost < worst <= worth:
+            return there
         self.rounds += 1
-        again = self._step(now, goal, looks, below=below, beyond=there)
-        worth = there.cost + price * there.missed
+        again = self._step(now, goal, looks, below=worst, beyond=there)
         return there if again is None or again.cost + price * again.missed >= worth else again
 
     def _slope(self, here: Timed, goal: Goal | None, unit: float) -> tuple[Vector, Matrix, Kinks]:

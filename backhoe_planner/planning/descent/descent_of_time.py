@@ -21,6 +21,7 @@ from backhoe_planner.planning.descent.descent import (
     Descent,
     Options,
     Timed,
+    is_astray,
 )
 from backhoe_planner.planning.descent.looks import Looks
 from backhoe_planner.planning.descent.margins import Margins
@@ -64,7 +65,7 @@ class DescentOfTime(Descent):
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
                 failed += 1
-                if failed >= STUCK and here.missed > looks.allowed >= clear.missed:
+                if failed >= STUCK and is_astray(here, clear, looks):
                     here, box = clear, min(box, box_then)
                 if tried is not None:
                     looks.widen(tried.margins)
@@ -80,7 +81,7 @@ class DescentOfTime(Descent):
                 clear, box_then = here, box
             if gain < enough * here.cost and here.missed <= KEPT:
                 break
-        return clear if here.missed > looks.allowed >= clear.missed else here
+        return clear if is_astray(here, clear, looks) else here
 
     def _step(
         self, here: Timed, goal: Goal | None, looks: Looks, box: float, *, below: float, longest: float
