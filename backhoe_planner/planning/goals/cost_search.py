@@ -2,7 +2,7 @@
 
 It begins with descents from fast motions and from straight lines, or with what descents without obstacles make of
 lines to many more postures, see `free_starts`. If these show that a motion around an obstacle may cost less, routes
-follow. What the best becomes on finer curves is the result.
+follow, and the best of them is led to other postures. What the best becomes on finer curves is the result.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from backhoe_planner.planning.multistart.incumbent import FoundMotion, Incumbent
 from backhoe_planner.planning.multistart.lift import is_frugal, lift_of, little_cost
 from backhoe_planner.planning.multistart.line_starts import line_starts
 from backhoe_planner.planning.multistart.refining import Refining
-from backhoe_planner.planning.multistart.start_prices import PricedStart, StartPrices
+from backhoe_planner.planning.multistart.start_prices import PricedStart, Start, StartPrices
 from backhoe_planner.planning.world.world import World
 
 # times the cost of the cheapest blocked start, from which there is more patience, and its factor
@@ -35,6 +35,9 @@ _MORE_FREELY = 36  # the same for a search that begins with descents without obs
 _SIDES = 2  # sampled detours for a start that is blocked, which may pass it on different sides; chosen
 # starts of a search that begins with descents without obstacles, for each of `Effort.ways_at_once`; chosen
 _STARTS_FOR_ONE = 2.5
+# a way that is led to other postures: for each of `Effort.ways_at_once`, how many of these ways get a few rounds; the
+# part of the cost that they must gain for the best to be led on, and how many times at most; chosen
+_LED_FOR_ONE, _LED_GAIN, _LED_AT_MOST = 2, 0.03, 3
 # times the least cost that an earlier search had before refining, up to which a motion is refined; chosen
 _REFINED, _REFINED_FRUGAL = 1.3, 1.0  # the second for frugal searches; chosen
 _PAYS = 0.15  # part of the cost: gaining more by refining is much; chosen
@@ -99,6 +102,7 @@ class CostSearch(MotionSearch):
             self._go_straight()
         if self.leads_round or (self.best is None and not self._freely):
             self._go_round(1)  # the search for the fastest had the first routes
+            self._lead_elsewhere()
         if self._is_worth_refining():
             self.repeats = self._is_refined_already()
             if not self.repeats:
@@ -221,6 +225,32 @@ class CostSearch(MotionSearch):
         if starts:
             prices = self._descents.prices(self._screen)
             self._descents.descend_cheapest(prices.cheapest(prices.in_order(starts), ways))
+
+    def _lead_elsewhere(self) -> None:
+        """Descents from the best way around an obstacle, led to other postures, until they gain little.
+
+        Straight lines to these postures are blocked, and a sampled route seldom leads to the best of them.
+        """
+        work, longest = self._world.work, self.allowed_time
+        if longest is None or not work.led_rounds:
+            return
+        work.descent_rounds, work.led_rounds = work.descent_rounds + work.led_rounds, 0
+        own = alike(self._problem, np.vstack((self._start, *self.ends.postures)))
+        prices, ways = self._descents.prices(self._screen, alike=own), work.effort.ways_at_once
+        which = self.ends.many_within(longest, most=LINES_FOR_ONE * ways, alike=own)
+        for _ in range(_LED_AT_MOST):
+            best = self.best
+            if best is None or best.curve is None or not self._incumbent.has_improved or not self.leads_round:
+                return
+            led = [
+                Start(best.curve.ending_at(self.ends.postures[index]), longest, self.ends.goals[index], best.way)
+                for index in which
+            ]
+            chosen = prices.spaced(prices.fair(prices.in_order(led)), _LED_FOR_ONE * ways, known=[best.curve])
+            if chosen:
+                self._descents.descend_cheapest(chosen)
+            if self.best is None or self.best.cost > (1.0 - _LED_GAIN) * best.cost:
+                return
 
     def _follow(self, ways: Iterable[FoundMotion]) -> bool:
         """Descents from the cheapest routes, by their first rounds; whether there are any routes."""

@@ -18,6 +18,7 @@ from backhoe_planner.planning.descent.descent_of_cost import DescentOfCost
 from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.multistart.counted_rounds import CountedRounds
 from backhoe_planner.planning.multistart.first_rounds import Field, GivesUp, after_first_rounds
+from backhoe_planner.planning.multistart.free_starts import alike
 from backhoe_planner.planning.multistart.incumbent import FoundMotion, Incumbent
 from backhoe_planner.planning.multistart.lift import is_frugal, little_cost
 from backhoe_planner.planning.multistart.motion_descents import (
@@ -51,6 +52,9 @@ _WORTH_ROUNDS = 2.0  # times the least cost after the first rounds, up to which 
 # times the least cost after the first rounds of other searches, that a start must not exceed after its own; chosen: one
 # at 1.006 times it became a motion that costs a tenth less, of those above 1.01 none did
 _NO_DEARER = 1.02
+# part of the longest time: joint time between two ends that count as different, of which joints that move little mass
+# have little, see `alike`; chosen
+_ELSEWHERE = 0.15
 
 
 class CostDescents(MotionDescents):
@@ -120,7 +124,10 @@ class CostDescents(MotionDescents):
         return found.curve is not None and found.way == STRAIGHT and self.early <= self.blocked
 
     def descend_cheapest(self, chosen: Sequence[PricedStart]) -> None:
-        """A few rounds of descents from these starts, then all rounds of the best of them."""
+        """A few rounds of descents from these starts, then all rounds of the best of them.
+
+        One more descent leads to another end, as costs after the first rounds say little about those of other postures.
+        """
         self._begun += [one.start.curve for one in chosen]
         if len(chosen) == 1:
             start = chosen[0].start
@@ -140,16 +147,44 @@ class CostDescents(MotionDescents):
         if self.falls_short:
             return
         self._to_beat = np.inf  # ways that are sampled later are found by chance, and need not be cheaper at first
+        descended: list[Start] = []
         for index, (cost, start) in enumerate(tried):
-            if is_clear and (index >= ways or cost > _WORTH_ROUNDS * tried[0][0]):
+            if is_clear and (index >= ways or cost > _WORTH_ROUNDS * least):
                 break
-            if self.descend(start):
-                is_clear, self.early = True, min(self.early, cost)
-            else:
-                self.blocked = min(self.blocked, cost)
+            descended.append(start)
+            is_clear |= self._descend_judged(cost, start)
             # a descent that goes where another one ended adds none
             if len(self.ended) - before >= ways / _WAYS_FOR_ONE:
                 break
+        if is_clear and not self._effort.is_hurried:
+            self._descend_elsewhere(tried, descended)
+
+    def _descend_judged(self, cost: float, start: Start) -> bool:
+        """A descent from a start that had a cost after its first rounds; whether it got clear."""
+        is_clear = self.descend(start)
+        if is_clear:
+            self.early = min(self.early, cost)
+        else:
+            self.blocked = min(self.blocked, cost)
+        return is_clear
+
+    def _descend_elsewhere(self, tried: Sequence[tuple[float, Start]], descended: Sequence[Start]) -> None:
+        """A descent from the cheapest start whose end is far from those of all other descents, if it is worth one.
+
+        Parameters
+        ----------
+        tried: starts after their first rounds, with their costs, the cheapest first.
+        descended: those of them from which descents have begun.
+        """
+        ends = [start.curve.control[-1] for start in descended] + [one.motion.q[-1] for one in self.ended]
+        own = alike(self._problem, np.array([start.curve.control[-1] for _, start in tried]))
+        apart = _ELSEWHERE * self.incumbent.longest
+        for cost, start in tried:
+            if cost > _WORTH_ROUNDS * tried[0][0]:
+                return
+            if np.min(np.max(np.abs(np.array(ends) - start.curve.control[-1]) / own, axis=1)) > apart:
+                self._descend_judged(cost, start)
+                return
 
     def _few_rounds(
         self, start: Start, rounds: int, *, gives_up: GivesUp, density: int = 1, clear_first: bool = False

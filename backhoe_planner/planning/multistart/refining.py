@@ -12,8 +12,8 @@ from backhoe_planner.planning.multistart.motion_descents import FINE_PIECES, FIN
 from backhoe_planner.planning.world.world import World
 
 # of the best curve, in turn, with pieces of different lengths; and the most pieces times joints, because the programs
-# take ever longer; chosen
-_FINER_PIECES, _MOST_FINE = (20, 28, 36, 36, 36), 200
+# take ever longer; chosen: 36 pieces of seven joints take 1 to 2 s, and mostly gain too little before to be tried
+_FINER_PIECES, _MOST_FINE = (20, 28, 36, 36, 36), 252
 # part of the cost that each refinement must gain for the next to follow; chosen: if the first gains less, the next
 # mostly gain nothing, and if it gains more, they may gain a third
 _MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)

@@ -52,6 +52,8 @@ class Effort:
         examined apart from the search, which does not wait for them.
     descent_rounds: of all descents of the plan (20 to 50 a second); half of the descents take less than 7.
     way_rounds: additional rounds, for descents from routes through roadmaps.
+    led_rounds: additional rounds for another cost than the time, for descents from a way around an obstacle that is led
+        to other postures.
     pieces: of the curve that a descent bends; 20 instead of 12 gain 1 % and take twice as long.
     ways_at_once: how many straight lines to postures on a goal are tried, and how many sampled routes, of which the
         cheapest start descents.
@@ -84,6 +86,7 @@ class Effort:
     boxes: int
     descent_rounds: int
     way_rounds: int
+    led_rounds: int
     pieces: int
     ways_at_once: int
     dull_searches: int
@@ -114,6 +117,7 @@ _NORMAL = Effort(
     boxes=4_000,
     descent_rounds=70,
     way_rounds=90,
+    led_rounds=90,
     pieces=12,
     ways_at_once=3,
     dull_searches=1,
@@ -144,6 +148,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             starting_points=_NORMAL.starting_points,
             descent_rounds=6,
             way_rounds=0,
+            led_rounds=0,
             pieces=8,
             ways_at_once=1,
             other_ways=0,
@@ -250,7 +255,7 @@ class Work:
     ----------
     effort: at the beginning.
     brake: checked by every search.
-    motions, law_steps, sweeps, descent_rounds, way_rounds: remaining counts; see `Effort`.
+    motions, law_steps, sweeps, descent_rounds, way_rounds, led_rounds: remaining counts; see `Effort`.
     """
 
     def __init__(self, effort: Effort = EFFORTS["normal"], brake: Brake | None = None) -> None:
@@ -261,6 +266,7 @@ class Work:
         self.sweeps = effort.sweeps
         self.descent_rounds = effort.descent_rounds
         self.way_rounds = effort.way_rounds
+        self.led_rounds = effort.led_rounds
         self._withheld_steps = 0  # of the law: they were subtracted, but are not to be done
         self.brake.add(self)
 
@@ -274,7 +280,8 @@ class Work:
     def done(self) -> float:
         """What was subtracted so far, as the time that one core takes for it about [s]."""
         effort = self.effort
-        rounds = effort.descent_rounds + effort.way_rounds - self.descent_rounds - self.way_rounds
+        rounds = effort.descent_rounds + effort.way_rounds + effort.led_rounds
+        rounds -= self.descent_rounds + self.way_rounds + self.led_rounds
         done = {
             "motions": effort.motions - self.motions,
             "law_steps": effort.law_steps - self.law_steps - self._withheld_steps,
