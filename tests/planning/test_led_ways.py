@@ -1,4 +1,4 @@
-"""The best way around an obstacle is led to other postures, and descents lead to ends that are far from each other."""
+"""The best way around an obstacle is led to other postures on the goals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from bar_scenes import BAR, STRETCHED, problem_of
-from one_joint_search import DURATION, END, START, ended_search
 
 import backhoe_planner as bp
 from backhoe_planner.motion import OBJECTIVES, time_evenly
@@ -17,10 +16,8 @@ from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.goals.cost_search import CostSearch
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
-from backhoe_planner.planning.multistart import cost_descents
-from backhoe_planner.planning.multistart.first_rounds import FirstRounds
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
-from backhoe_planner.planning.multistart.start_prices import PricedStart, Start
+from backhoe_planner.planning.multistart.start_prices import PricedStart
 from backhoe_planner.planning.multistart.straight_lines import STRAIGHT
 from validation.goal_runs import with_objective
 from validation.habitats import load_machine
@@ -83,43 +80,6 @@ def test_the_best_way_around_an_obstacle_is_led_to_other_postures_while_that_gai
             moved = np.abs(start.curve.control - led.curve.control).max(axis=1)
             assert (np.diff(moved) >= -1e-12).all()
             assert (start.way, start.duration, start.goal) == (AROUND, LONGEST, best.goal)
-
-
-@pytest.mark.parametrize(
-    ("far", "cost", "begun"),
-    [
-        (True, 15.0, "abd"),
-        (True, 21.0, "ab"),  # it costs more than twice as much as the first
-        (False, 15.0, "ab"),  # the end is near those of the others
-    ],
-)
-def test_one_more_descent_leads_to_an_end_that_is_far_from_those_of_the_others(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, far: bool, cost: float, begun: str
-) -> None:
-    """Four starts are clear after their first rounds; of three the normal effort descends to two motions."""
-    world, _, search = ended_search(planar4)
-    assert search.allowed_time is not None
-    descents, goal = search._descents, world.problem.goals[0]
-    elsewhere = END.copy()
-    # the first joint moves the most mass, so that its velocity limit counts
-    elsewhere[0] -= (0.2 if far else 0.1) * search.allowed_time * planar4.limits.velocity[0]
-    ends = {"a": END, "b": END, "c": END, "d": elsewhere}
-    starts = {name: Start(JointCurve.straight(START, end, 12), DURATION, goal, name) for name, end in ends.items()}
-    costs = {"a": 10.0, "b": 11.0, "c": 12.0, "d": cost}
-    rounds = FirstRounds([(costs[name], start) for name, start in starts.items()], [])
-    monkeypatch.setattr(cost_descents, "after_first_rounds", lambda *_, **__: rounds)
-    run = ""
-
-    def descend(start: Start) -> bool:
-        nonlocal run
-        run += start.way
-        motion = time_evenly(start.curve, DURATION)
-        descents.ended.append(FoundMotion(motion, costs[start.way], goal, start.way, start.curve))
-        return True
-
-    monkeypatch.setattr(descents, "descend", descend)
-    descents.descend_cheapest([PricedStart(start, 1.0) for start in starts.values()])
-    assert run == begun
 
 
 @pytest.mark.long

@@ -272,25 +272,56 @@ def test_a_descent_that_goes_where_another_one_ended_is_followed_by_one_from_the
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, known: str, dear: float, begun: str
 ) -> None:
     """Four starts are clear after their first rounds; of three the normal effort descends to two motions."""
-    world, _, search = ended_search(planar4)
-    descents, goal, curve = search._descents, world.problem.goals[0], JointCurve.straight(START, END, 12)
-    starts = {name: Start(curve, DURATION, goal, name) for name in "abcd"}
+    curve = JointCurve.straight(START, END, 12)
     costs = {"a": 10.0, "b": 11.0, "c": 12.0 * dear, "d": 13.0 * dear}
-    rounds = FirstRounds([(costs[name], start) for name, start in starts.items()], [])
-    monkeypatch.setattr(cost_descents, "after_first_rounds", lambda *_, **__: rounds)
+    _, _, search = ended_search(planar4)
+    assert descents_begun(search, {name: (cost, curve) for name, cost in costs.items()}, monkeypatch, known) == begun
+
+
+@pytest.mark.parametrize(
+    ("far", "cost", "begun"),
+    [
+        (True, 15.0, "abd"),
+        (True, 21.0, "ab"),  # it costs more than twice as much as the first
+        (False, 15.0, "ab"),  # its end is near those of the others
+    ],
+)
+def test_one_more_descent_leads_to_an_end_that_is_far_from_those_of_the_others(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, far: bool, cost: float, begun: str
+) -> None:
+    _, _, search = ended_search(planar4)
+    assert search.allowed_time is not None
+    elsewhere = END.copy()
+    # the first joint moves the most mass, so that its velocity limit counts
+    elsewhere[0] -= (0.2 if far else 0.1) * search.allowed_time * planar4.limits.velocity[0]
+    near, other = (JointCurve.straight(START, end, 12) for end in (END, elsewhere))
+    starts = {"a": (10.0, near), "b": (11.0, near), "c": (12.0, near), "d": (cost, other)}
+    assert descents_begun(search, starts, monkeypatch) == begun
+
+
+def descents_begun(
+    search: CostSearch, starts: dict[str, tuple[float, JointCurve]], patch: Any, known: str = ""
+) -> str:  # fmt: skip
+    """From which of the `starts`, clear after their first rounds at these costs, `descend_cheapest` begins descents.
+
+    Those from the `known` ones end where others have ended.
+    """
+    descents, goal = search._descents, search._problem.goals[0]
+    rounds = FirstRounds([(cost, Start(curve, DURATION, goal, name)) for name, (cost, curve) in starts.items()], [])
+    patch.setattr(cost_descents, "after_first_rounds", lambda *_, **__: rounds)
     run = ""
 
     def descend(start: Start) -> bool:
         nonlocal run
         run += start.way
         if start.way not in known:
-            motion = time_evenly(curve, DURATION)
-            descents.ended.append(FoundMotion(motion, costs[start.way], goal, start.way, curve))
+            motion = time_evenly(start.curve, DURATION)
+            descents.ended.append(FoundMotion(motion, starts[start.way][0], goal, start.way, start.curve))
         return True
 
-    monkeypatch.setattr(descents, "descend", descend)
-    descents.descend_cheapest([PricedStart(start, 1.0) for start in starts.values()])
-    assert run == begun
+    patch.setattr(descents, "descend", descend)
+    descents.descend_cheapest([PricedStart(start, 1.0) for _, start in rounds.clear])
+    return run
 
 
 @pytest.mark.parametrize(
