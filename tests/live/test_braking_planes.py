@@ -61,7 +61,7 @@ def test_kept_planes_bound_other_paths_until_the_obstacle_moves(backhoe: Robot) 
     )
     built = build_obstacles(scene, backhoe)
     separation, at = Separation(backhoe, self_collision=False), Placements(backhoe, 18)
-    pairs = separation.add(0, built[0])
+    pairs = separation.add({0: built[0]})
     shift = np.zeros(3)
     separation.place_at(0, shift)
     proximity = Proximity(backhoe, built, self_collision=False)
@@ -99,7 +99,7 @@ def test_a_bound_counts_as_exact_only_if_it_misses_less_than_the_tolerance(backh
         }
     )
     separation, at = Separation(backhoe), Placements(backhoe, 1)
-    separation.add(0, build_obstacles(scene, backhoe)[0])
+    separation.add({0: build_obstacles(scene, backhoe)[0]})
     separation.place_at(0, np.zeros(3))
     rng, said = np.random.default_rng(12), []
     for turn in range(16):
@@ -139,7 +139,7 @@ def test_the_planes_of_links_that_swing_over_level_ground_stay_exact(backhoe: Ro
         }
     )
     separation, at = Separation(backhoe), Placements(backhoe, 1)
-    pairs = separation.add(0, build_obstacles(scene, backhoe)[0])
+    pairs = separation.add({0: build_obstacles(scene, backhoe)[0]})
     separation.place_at(0, np.zeros(3))
     q = np.array([0.0, 0.5, -1.2, -0.6])
     at.place(0, q)

@@ -134,7 +134,7 @@ def test_pairs_and_distances_are_those_of_the_laden_machine(backhoe: Robot) -> N
     built: tuple[Obstacle, ...] = build_obstacles(scene, backhoe)
     laden = tuple(with_carried(backhoe, scene, index) for index in (1, 2))
     separation, at = Separation(backhoe, laden=laden), Placements(backhoe, 1)
-    separation.add_all(dict(enumerate(built)))
+    separation.add(dict(enumerate(built)))
     rng = np.random.default_rng(3)
     for load, robot in ((-1, backhoe), (0, laden[0]), (1, laden[1]), (-1, backhoe)):
         separation.carry(load)

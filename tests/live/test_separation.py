@@ -69,7 +69,7 @@ def test_the_gap_along_the_normal_of_a_plane_is_the_distance(backhoe: Robot) -> 
     ground = {"name": "ground", "shape": "halfspace", "point": [0, 0, -4.0], "normal": [0, 0, 1]}
     scene = bp.scene_from_dict({**content(backhoe, q), "obstacles": [ground]})
     separation, at = Separation(backhoe), Placements(backhoe, 1)
-    separation.add(0, build_obstacles(scene, backhoe)[0])
+    separation.add({0: build_obstacles(scene, backhoe)[0]})
     separation.place_at(0, np.zeros(3))
     at.place(0, q)
 

@@ -124,7 +124,7 @@ def test_no_corner_deviates_from_the_chord_by_more_than_its_bound(backhoe: Robot
     rng = np.random.default_rng(4)
     separation = Separation(backhoe, self_collision=False)
     obstacle = build_obstacles(site(backhoe, [BALL]), backhoe)[0]
-    pairs = separation.add(0, obstacle)
+    pairs = separation.add({0: obstacle})
     at = Placements(backhoe, 3)
     most = 0.0
     for _ in range(200):
@@ -157,7 +157,7 @@ def test_gaps_equal_coals_distance_where_measured_and_never_exceed_it_elsewhere(
     built = build_obstacles(scene, any_robot)
     separation, proximity = Separation(any_robot), Proximity(any_robot, built)
     for number, obstacle in enumerate(built):
-        separation.add(number, obstacle)
+        separation.add({number: obstacle})
     everything = np.arange(len(separation))
     assert len(separation) == len(proximity.pairs)
     at = Placements(any_robot, 1)
@@ -182,7 +182,7 @@ def test_constraint_rows_equal_central_differences(any_robot: Robot) -> None:
     reach = 4.0 if any_robot.n == 4 else 0.8
     ball = {"name": "ball", "shape": "sphere", "radius": 0.1 * reach, "position": [0.6 * reach, 0.2 * reach, 0.0]}
     separation = Separation(any_robot)
-    separation.add(0, build_obstacles(site(any_robot, [ball], q=[0.0] * any_robot.n), any_robot)[0])
+    separation.add({0: build_obstacles(site(any_robot, [ball], q=[0.0] * any_robot.n), any_robot)[0]})
     pairs = np.arange(len(separation))
     at, aside = Placements(any_robot, 1), Placements(any_robot, 1)
     q = any_robot.random_q(rng)
@@ -208,7 +208,7 @@ def test_the_proven_bound_of_a_path_never_exceeds_its_measured_distance(backhoe:
     built = build_obstacles(scene, backhoe)
     separation, proximity = Separation(backhoe, self_collision=False), Proximity(backhoe, built, self_collision=False)
     for number, obstacle in enumerate(built):
-        separation.add(number, obstacle)
+        separation.add({number: obstacle})
     pairs = np.arange(len(separation))
     at = Placements(backhoe, 9)
     tightest = np.inf
@@ -560,7 +560,7 @@ def test_gradients_of_penetrating_pairs_equal_central_differences(backhoe: Robot
     for seed in range(0, 30, 3):  # spheres, whose distance is smooth
         q, scene, _ = started_inside(backhoe, seed)
         separation = Separation(backhoe, self_collision=False)
-        pairs = separation.add(0, build_obstacles(scene, backhoe)[0])
+        pairs = separation.add({0: build_obstacles(scene, backhoe)[0]})
         at = Placements(backhoe, 1)
 
         def distances(where: Vector, separation: Separation = separation, at: Any = at, pairs: Any = pairs) -> Vector:

@@ -118,12 +118,11 @@ class Separation:
 
     # --- which pairs there are -------------------------------------------------------
 
-    def add(self, number: int, obstacle: Obstacle) -> Indices:
-        """Add an obstacle under a number, and return the indices of its pairs. They have no plane yet."""
-        return self.add_all({number: obstacle})
+    def add(self, obstacles: Mapping[int, Obstacle]) -> Indices:
+        """Add obstacles by their numbers, and return the indices of their pairs, which have no plane yet.
 
-    def add_all(self, obstacles: Mapping[int, Obstacle]) -> Indices:
-        """Add several obstacles by their numbers at once: the work does not grow with the square of their count."""
+        The work of several at once does not grow with the square of their count.
+        """
         owner, clearance, piece, velocity = [self.owner], [self.full_clearance], [self.piece], [self.velocity]
         first, faces = len(self), list(self.faces)
         for number, obstacle in obstacles.items():

@@ -193,7 +193,7 @@ class Surroundings:
             numbered[number] = obstacle
         if not numbered:
             return np.zeros(0, dtype=np.intp)
-        pairs = self._separation.add_all(numbered)
+        pairs = self._separation.add(numbered)
         for number, obstacle in numbered.items():
             self._separation.place_at(number, self._placed[obstacle.name].shift)
         self.revision += len(numbered)
