@@ -1,4 +1,4 @@
-"""First paths of a search: which are alike, where they are sampled, and how their ends stay on a goal."""
+"""First paths of a search: which are alike, and how their ends stay on a goal."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
+from bar_scenes import problem_of
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.planning import MotionCheck, Work, sample_path
+from backhoe_planner.planning import MotionCheck
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import step_onto
 from backhoe_planner.planning.multistart.alike import KnownCurves
@@ -52,28 +52,6 @@ def test_an_obstacle_between_two_curves_makes_them_different(planar4: bp.Robot) 
         assert known.least_alike(bending(0.42)) == 1.0
     assert free.least_alike(bending(-0.4)) == 1.0
     assert blocked.least_alike(bending(-0.4)) == np.inf
-
-
-def test_nothing_is_sampled_if_no_motion_is_short_enough(planar4: bp.Robot) -> None:
-    problem, proximity = across_bar(planar4)
-    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.002)
-    work = Work()
-    before = work.motions
-    # 1.5 rad at 1 rad/s and 2 rad/s^2 take 2 s
-    assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work, longest=1.99) is None
-    assert work.motions == before
-
-
-def test_every_corner_of_a_sampled_path_can_be_reached_and_left_in_time(planar4: bp.Robot) -> None:
-    problem, proximity = across_bar(planar4)
-    longest = 6.0
-    v, a = problem.limits.velocity, problem.limits.acceleration
-    travel = v * (longest - v / a)  # accelerating, cruising, braking
-    for seed in range(3):
-        check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.002)
-        way = sample_path(check, STRETCHED, [TURNED], seed=seed, work=Work(), longest=longest)
-        assert way is not None
-        assert (np.abs(way.q - STRETCHED) + np.abs(TURNED - way.q) <= travel + 1e-9).all()
 
 
 @pytest.mark.parametrize(

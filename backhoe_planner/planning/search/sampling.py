@@ -60,7 +60,6 @@ def sample_path(
     seed: int,
     work: Work,
     most_motions: int | None = None,
-    longest: float = np.inf,
     straight: bool = True,
     keep: Keep | None = None,
 ) -> JointPath | None:
@@ -78,7 +77,6 @@ def sample_path(
     most_motions: after so many the sampling is given up; by default `Effort.motions_per_search`,
         0 for the straight motions alone.
     straight: whether straight motions to the goals are tried first.
-    longest: configurations are left out if every motion through them from the start to an end takes longer [s].
     keep: what the corners of a route satisfy, if it is narrower than what `check` requires of its motions.
 
     Returns
@@ -105,7 +103,7 @@ def sample_path(
     most_motions = work.effort.motions_per_search if most_motions is None else most_motions
     if not open_goals or min(most_motions, work.motions) <= 0:
         return None
-    search, keep = _Search(check, work, most_motions, longest), keep or check.problem.keep
+    search, keep = _Search(check, work, most_motions), keep or check.problem.keep
     if keep is not None and keep.cones:
         return search.run_kept(keep, start, open_goals, seed)
     return search.run(start, open_goals, seed)
@@ -122,10 +120,8 @@ class _Search:
     afterwards. Nothing that OMPL owns is kept here, because it would never be freed.
     """
 
-    def __init__(self, check: MotionCheck, work: Work, most_motions: int, longest: float) -> None:
+    def __init__(self, check: MotionCheck, work: Work, most_motions: int) -> None:
         self._check = check
-        self._longest = longest
-        self._reach = Reach(check.problem.limits, check.problem.robot.middle, np.zeros((0, len(check.rate))))
         self._work = work
         self._until = max(work.motions - most_motions, 0)  # motions left at which the search ends
         self._rate = check.rate
@@ -137,10 +133,9 @@ class _Search:
 
         def allows(a: Vector, b: Vector) -> bool:
             self._work.motions -= 1
-            return bool(self._reach.holds(b[None])[0]) and self._check.segment_is_clear(a, b)
+            return self._check.segment_is_clear(a, b)
 
         limits = self._check.problem.limits
-        self._reach = Reach(limits, start, np.array(goals), self._longest)
         lower, upper = Reach(limits, start, np.array(goals)).box()
 
         of_projection = 1 if self._check.proves else _OF_PROJECTION
@@ -179,13 +174,11 @@ class _Search:
         n = len(start)
         self._chart.begin_at(start)
         limits = self._check.problem.limits
-        reach = Reach(limits, start, np.array(goals), self._longest)
-        low, high = self._chart.box(*beyond_limits(limits, *reach.box()))
+        low, high = self._chart.box(*beyond_limits(limits, *Reach(limits, start, np.array(goals)).box()))
         # OMPL waits forever for an end outside the box
-        goals = [goal for goal in goals if reach.holds(goal[None])[0] and self._is_within(low, high, goal)]
+        goals = [goal for goal in goals if self._is_within(low, high, goal)]
         if not goals or not self._is_within(low, high, start):
             return None
-        self._reach = Reach(limits, start, np.array(goals), self._longest)
         space = base.RealVectorStateSpace(n)
         bounds = base.RealVectorBounds(n)
         for joint in range(n):
@@ -233,10 +226,7 @@ class _Search:
         if self._raised is not None:
             return False
         try:
-            q = self._chart.joints(np.array(b))
-            if self._longest < np.inf and not self._reach.holds(q[None])[0]:
-                return False
-            return self._check.segment_is_clear(self._chart.joints(np.array(a)), q)
+            return self._check.segment_is_clear(self._chart.joints(np.array(a)), self._chart.joints(np.array(b)))
         except BaseException as raised:  # noqa: BLE001 - raised again after OMPL has stopped
             self._raised = raised
             return False
