@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -67,24 +68,36 @@ def test_if_refining_pays_the_cheapest_other_motions_are_refined_too(
     assert refining.gained == pytest.approx(1.0 - best / 10.0)
 
 
-@pytest.mark.parametrize(("part", "refined"), [(0.9, False), (1.1, True)])
-def test_a_motion_that_costs_less_than_a_lift_by_a_millimetre_is_not_refined(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, part: float, refined: bool
+@pytest.mark.parametrize(
+    ("millimetres", "begun"),
+    [
+        (0.9, [20]),  # neither again nor another motion
+        (1.3, [20]),  # it costs less than a lift by a millimetre afterwards
+        (3.0, [20, 20, 28, 36, 36]),  # another motion, which costs a tenth more, after the first
+    ],
+)
+def test_a_motion_that_costs_less_than_a_lift_by_a_millimetre_is_refined_once(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, millimetres: float, begun: list[int]
 ) -> None:
+    """Each time 30 % is gained."""
     world, _, search = ended_search(planar4)
     masses, _ = Dynamics(planar4).bodies()
-    motion = time_evenly(JointCurve.straight(START, END, 12), DURATION)
-    cost = part * 1e-3 * GRAVITY * float(np.sum(masses))
-    search._incumbent.best = FoundMotion(motion, cost, world.problem.goals[0], "straight")
-    begun: list[int] = []
+    curve = JointCurve.straight(START, END, 12)
+    cost = millimetres * 1e-3 * GRAVITY * float(np.sum(masses))
+    best = FoundMotion(time_evenly(curve, DURATION), cost, world.problem.goals[0], "straight", curve)
+    other = replace(best, cost=1.1 * cost)
+    search._incumbent.best, search._descents.ended[:] = best, [best, other]
+    tried: list[int] = []
 
-    def note(found: FoundMotion, pieces: int) -> bool:
-        begun.append(pieces)
-        return False
+    def gain(found: FoundMotion, pieces: int) -> bool:
+        tried.append(pieces)
+        if found is search.best:
+            search._incumbent.best = replace(found, cost=0.7 * found.cost)
+        return True
 
-    monkeypatch.setattr(search._refining, "_refine", note)
+    monkeypatch.setattr(search._refining, "_refine", gain)
     search._refining.run()
-    assert bool(begun) == refined
+    assert tried == begun
 
 
 @pytest.mark.parametrize(("missed", "kept"), [(0.0029, True), (0.0031, False)])

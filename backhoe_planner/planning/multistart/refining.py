@@ -64,14 +64,14 @@ class Refining:
         """Refine the best motion on curves of more pieces in turn, unless in a hurry.
 
         If the first of these makes it clearly cheaper, motions that cost little more are refined too: the costs before
-        say little about those after.
+        say little about those after. A cost that counts as little is refined once.
         """
         best = self._descents.best
         self._descents.rounds.reserve(0)
         self.before, self._rounds_before = best, self._descents.rounds.made
-        if best is None or self._hurried or best.cost <= self._little:
+        if best is None or self._hurried:
             return
-        others = self._nearly_as_cheap(best)
+        others = [] if best.cost <= self._little else self._nearly_as_cheap(best)
         finer = [pieces for pieces in _FINER_PIECES if pieces * self._problem.robot.n <= _MOST_FINE]
         for turn, pieces in enumerate(finer or _FINER_PIECES[:1]):
             before = self._best()
