@@ -28,9 +28,8 @@ from backhoe_planner.planning.descent.margins import Margins
 
 _GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen: limits between them are corrected
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
-_ENOUGH_HURRIED = (
-    0.01  # the same for a descent in a hurry; chosen: the last round, which gains less, is a fifth of its time
-)
+# the same for a descent in a hurry; chosen: the last round, which gains less, is a fifth of its time
+_ENOUGH_HURRIED = 0.01
 # the same for the gain that the program predicts for a clear curve in a hurry, which then ends; chosen: with 0.01
 # motions take longer, for no less work
 _ENOUGH_PROMISED = 0.005

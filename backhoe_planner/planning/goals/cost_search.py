@@ -170,11 +170,15 @@ class CostSearch(MotionSearch):
         work, longest = self._world.work, self._incumbent.longest
         self._look_for_postures(within=longest)
         self._descents.rounds.reserve(work.descent_rounds // 3)
-        own = alike(self._problem, np.vstack((self._start, *self.ends.postures)))
-        prices, ways = self._descents.prices(self._screen, alike=own), work.effort.ways_at_once
+        (own, prices), ways = self._by_mass(), work.effort.ways_at_once
         lines = self._lines.many_within(longest, most=LINES_FOR_ONE * ways, alike=own)
         starts = free_starts(self._problem, lines, prices, longest=longest, ways=ways)
         self._descend_unless_tried(prices, prices.spaced(starts, round(_STARTS_FOR_ONE * ways), known=self._tried))
+
+    def _by_mass(self) -> tuple[Vector, StartPrices]:
+        """(n,) moves of the joints that count alike, see `alike`, and prices of starts whose distances count so."""
+        own = alike(self._problem, np.vstack((self._start, *self.ends.postures)))
+        return own, self._descents.prices(self._screen, alike=own)
 
     def _descend_unless_tried(self, prices: StartPrices, chosen: Sequence[PricedStart]) -> None:
         """Descents from the `chosen` starts, unless earlier searches began with all of them."""
@@ -235,8 +239,7 @@ class CostSearch(MotionSearch):
         if longest is None or not work.led_rounds:
             return
         work.descent_rounds, work.led_rounds = work.descent_rounds + work.led_rounds, 0
-        own = alike(self._problem, np.vstack((self._start, *self.ends.postures)))
-        prices, ways = self._descents.prices(self._screen, alike=own), work.effort.ways_at_once
+        (own, prices), ways = self._by_mass(), work.effort.ways_at_once
         which = self.ends.many_within(longest, most=LINES_FOR_ONE * ways, alike=own)
         for _ in range(_LED_AT_MOST):
             best = self.best

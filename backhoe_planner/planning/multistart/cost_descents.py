@@ -176,13 +176,13 @@ class CostDescents(MotionDescents):
         tried: starts after their first rounds, with their costs, the cheapest first.
         descended: those of them from which descents have begun.
         """
-        ends = [start.curve.control[-1] for start in descended] + [one.motion.q[-1] for one in self.ended]
+        ends = np.array([*(start.curve.control[-1] for start in descended), *(one.motion.q[-1] for one in self.ended)])
         own = alike(self._problem, np.array([start.curve.control[-1] for _, start in tried]))
         apart = _ELSEWHERE * self.incumbent.longest
         for cost, start in tried:
             if cost > _WORTH_ROUNDS * tried[0][0]:
                 return
-            if np.min(np.max(np.abs(np.array(ends) - start.curve.control[-1]) / own, axis=1)) > apart:
+            if np.min(np.max(np.abs(ends - start.curve.control[-1]) / own, axis=1)) > apart:
                 self._descend_judged(cost, start)
                 return
 

@@ -64,7 +64,7 @@ class Effort:
     frugal: whether searches for another cost than the time end where little more can be expected: restarts at a cost
         little above that of the lift, or once two agree. For little work, also restarts after one that gained little
         or after a short first search with few postures, starts that fall behind others, and refining that gains
-        little, or starts at a little cost.
+        little, or more than one refinement at a little cost.
     restarts_round: further searches if the best motion goes around an obstacle, each of which continues from what is
         known; none for little work with a frugal effort.
     restarts_long: further searches for the time, each begun anew with the normal effort, if the best motion takes
