@@ -410,13 +410,22 @@ def test_an_obstacle_of_another_leg_is_new(backhoe: Robot) -> None:
             assert not servo.on_track
 
 
-def test_a_plan_from_another_process_is_proven_among_its_own_obstacles(past_wall: bp.Plan) -> None:
-    """A process pool sends plans as pickles, in which everything is a copy."""
+@pytest.mark.parametrize("bounded", [False, True])
+def test_a_plan_from_another_process_is_proven_among_its_own_obstacles(past_wall: bp.Plan, bounded: bool) -> None:
+    """A process pool sends plans as pickles, in which everything is a copy.
+
+    Coal gives a shape its bounding box at the first query that needs one. That of the ground is infinite.
+    """
     copied = pickle.loads(pickle.dumps(past_wall))
-    servo = servo_of(copied)
-    with PlanFollower(servo, copied, executor=Never()) as follower:
-        follower.step()
-        assert servo.is_proven_along_unchecked(follower._track)
+    if bounded:
+        for obstacle in copied.problem.obstacles:
+            for piece in obstacle.pieces:
+                piece.shape.computeLocalAABB()
+    for plan in (copied, pickle.loads(pickle.dumps(copied))):
+        servo = servo_of(plan)
+        with PlanFollower(servo, plan, executor=Never()) as follower:
+            follower.step()
+            assert servo.is_proven_along_unchecked(follower._track)
 
 
 def test_a_scan_counts_as_the_plan_s_where_it_is_and_with_its_points(backhoe: Robot, tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ Between two steps the machine moves straight on, which takes it off a curve: tha
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -262,7 +261,7 @@ def _shape_of(pieces: Sequence[Piece], cluster: Cluster | None = None) -> _Shape
     numbers = [] if cluster is None else [cluster.placement.homogeneous]
     for piece in pieces:
         numbers += [*piece.pose, piece.hull, piece.radius]
-    shapes = (pickle.dumps(piece.shape) for piece in pieces)
+    shapes = (piece.shape_as_bytes() for piece in pieces)
     return (*shapes, *(np.asarray(part, dtype=float).tobytes() for part in numbers))
 
 

@@ -7,6 +7,7 @@ bound it, so that how far it can travel is computed without coal.
 from __future__ import annotations
 
 import contextlib
+import pickle
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -74,6 +75,24 @@ class Piece:
         no triangle of the mesh belongs to the piece.
         """
         return self.shape if self.make_inner is None else self.make_inner()
+
+    def shape_as_bytes(self) -> bytes:
+        """The shape without its placement: equal for equal shapes, also of another process; takes some 30 us."""
+        return pickle.dumps(_unbounded(self.shape))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: all but the bounding box that the shape may have by now, which is unreadable if infinite."""
+        kept = {name: value for name, value in self.__dict__.items() if name != "inner"}
+        if "shape" in kept:
+            kept["shape"] = _unbounded(self.shape)
+        return kept
+
+
+def _unbounded(shape: coal.CollisionGeometry) -> coal.CollisionGeometry:
+    """A copy without the bounding box that coal gives a shape at the first query that needs one."""
+    found, new = shape.clone(), coal.Sphere(1.0)
+    found.aabb_local, found.aabb_center, found.aabb_radius = new.aabb_local, new.aabb_center, new.aabb_radius
+    return found
 
 
 def _piece(
