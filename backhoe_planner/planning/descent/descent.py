@@ -153,13 +153,6 @@ class Descent(ABC):
         OutOfTime: the budget is used up.
         """
 
-    @abstractmethod
-    def _timed(self, curve: JointCurve, duration: float, looks: Looks, *, below: float = np.inf) -> Timed | None:
-        """The curve with its motion and cost; None if it has none.
-
-        If it does not cost less than `below`, its clearances are not checked.
-        """
-
     def _model(
         self, here: Timed, goal: Goal | None, looks: Looks, box: float, *, beyond: Timed | None = None
     ) -> LinearModel:  # fmt: skip
@@ -188,10 +181,8 @@ class Descent(ABC):
         margins = looks.find_margins(here.curve, before=here.margins)
         return replace(here, missed=max(-margins.least, 0.0), margins=margins)
 
-    def _on_goal(
-        self, here: JointCurve, control: Matrix, duration: float, goal: Goal | None, looks: Looks, *, below: float
-    ) -> Timed | None:
-        """The curve with its end moved onto the goal, see `_timed`; None if that is impossible."""
+    def _on_goal(self, here: JointCurve, control: Matrix, goal: Goal | None, looks: Looks) -> JointCurve | None:
+        """The curve with these control points, its end moved onto the goal; None if that is impossible."""
         if goal is not None:
             end = self._onto(goal, control[-1], looks)
             if end is None:
@@ -199,7 +190,7 @@ class Descent(ABC):
             limits = self._problem.limits
             # a jump at the end alone would cost much
             control = np.clip(here.moved_to(control).ending_at(end).control, limits.lower, limits.upper)
-        return self._timed(self._within_cones(here.moved_to(control), looks), duration, looks, below=below)
+        return self._within_cones(here.moved_to(control), looks)
 
     def _within_cones(self, curve: JointCurve, looks: Looks) -> JointCurve:
         """The curve with its inner control points moved back into the cones that have to be kept."""

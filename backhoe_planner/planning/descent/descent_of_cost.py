@@ -70,12 +70,86 @@ _LEAST_PART = 0.25  # least part of a failed step, to which the box shrinks; cho
 
 
 @dataclass(frozen=True, eq=False)
+class _Pricing:
+    """What curves cost in one descent.
+
+    Attributes
+    ----------
+    own_time: of the curves.
+    longest: the longest time that a motion may take [s].
+    width: by which kinks of the cost's rate are rounded off, in its unit per second.
+    nothing: a cost that counts as nothing, in its unit.
+    """
+
+    own_time: OwnTime
+    longest: float
+    width: float = LEAST_WIDTH
+    nothing: float = 0.0
+
+    def cost(self, curve: JointCurve, duration: float) -> float:
+        """The cost of a curve in its own time, more if that is longer than allowed."""
+        late = max(duration / self.longest - 1.0, 0.0)
+        return self.own_time.cost(curve, duration, width=self.width) * (1.0 + _LATE * late)
+
+    def priced(self, here: Timed) -> Timed:
+        """The same curve with its cost."""
+        return replace(here, cost=self.cost(here.curve, here.duration))
+
+    def slope(self, here: Timed, goal: Goal | None, unit: float) -> tuple[Vector, Matrix, Kinks]:
+        """How the cost, divided by `unit`, changes with the control points that may move, and T.
+
+        The slope, the known curvature, and the kinks.
+        """
+        moving = slice(1, here.curve.pieces + (goal is not None))
+        found = self.own_time.slope(here.curve, here.duration, moving, width=self.width)
+        if here.duration > self.longest:
+            found.slope[-1] += _LATE * here.cost / self.longest
+        return found.slope / unit, found.curvature / unit, found.kinks.over(unit)
+
+    def suitable_width(self, here: Timed) -> float:
+        """The width that suits the cost of a curve."""
+        return float(suitable_width(max(here.cost, self.nothing), here.duration, here.curve.control.shape[1]))
+
+    def rounded_off(self, here: Timed) -> _Pricing:
+        """The same with kinks rounded off by a width that suits the cost of a curve."""
+        found = replace(self, nothing=_NOTHING * self.own_time.gross(here.curve, here.duration))
+        return replace(found, width=found.suitable_width(here))
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One run, and what its descents have shown so far.
+
+    Attributes
+    ----------
+    goal: on which the end may move.
+    own_time: of its curves; not softened.
+    times_missed: factor on the price of what a curve misses.
+    curvature: learnt with a softer cost, in the objective's unit; None if none was.
+    """
+
+    goal: Goal
+    own_time: OwnTime
+    times_missed: float
+    curvature: Matrix | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class _State:
-    """A curve, the box of the step from it, and the model of its cost."""
+    """A curve, the box of the step from it, what it costs, and the model of its cost."""
 
     here: Timed
     box: float
+    pricing: _Pricing
     bend: Bend
+
+    def narrower(self, goal: Goal | None, unit: float) -> _State:
+        """The same with kinks rounded off by a width that suits the cost now."""
+        pricing = self.pricing.rounded_off(self.here)
+        here = pricing.priced(self.here)
+        slope, curvature, kinks = pricing.slope(here, goal, unit)
+        bend = replace(self.bend, slope=slope, known=curvature, kinks=kinks)
+        return replace(self, here=here, pricing=pricing, bend=bend)
 
     def after_failure(self, part: float) -> _State:
         """The state for a shorter step: `part` of the usual shrinking is left."""
@@ -91,69 +165,60 @@ class DescentOfCost(Descent):
     ) -> None:  # fmt: skip
         super().__init__(problem, proximity, kinematics, time=time, brake=brake, hurried=hurried)
         self._own_time = OwnTime(problem, self._drive)
-        self._nothing = 0.0  # a cost that counts as nothing, in its unit
-        self._width = LEAST_WIDTH  # by which kinks of the cost's rate are rounded off, in its unit per second
-        self._longest = np.inf  # s that the motion of this descent may take
-        self._curved: Matrix | None = None  # the curvature learnt with a softer cost, in its unit
-        self._times_missed = 1.0  # factor on the price of what a curve of this descent misses
 
-    def run(self, curve: JointCurve, duration: float, goal: Goal, options: Options) -> Timed | None:
-        """See `Descent.run`."""
+    def run(self, curve: JointCurve, duration: float, goal: Goal, options: Options) -> Timed:
+        """See `Descent.run`; every curve has a motion."""
         longest, objective = options.longest, self._problem.objective
-        self._own_time = self._own_time.looked_at(fine=options.fine)
-        self._times_missed = _CLEAR_FIRST if options.clear_first else 1.0
+        own_time = self._own_time.looked_at(fine=options.fine)
         within = (1.0 - _TIME_SPARE) * longest
         duration = min(duration, within) if duration <= longest else duration
-        flow = self._own_time.mean_flow(curve, duration) if objective.jumps else 0.0
+        flow = own_time.mean_flow(curve, duration) if objective.jumps else 0.0
         flows = soft_flows(flow, first=options.unsampled, fine=options.fine, hurried=self._hurried)
-        found = self._down_softly(curve, duration, goal, flows, replace(options, longest=within))
-        if found is None or options.unsampled:
+        run = _Run(goal, own_time, times_missed=_CLEAR_FIRST if options.clear_first else 1.0)
+        found, run = self._down_softly(curve, duration, flows, run, replace(options, longest=within))
+        if options.unsampled:
             return found
-        found = self._as_sampled(found)
+        found = self._as_sampled(found, _Pricing(own_time, within))
         hurrying = replace(options, most_rounds=_HURRY_ROUNDS, box=SMALLEST_BOX, is_hopeless=lambda here, rounds: False)
         for _ in range(_HURRIES):
             if found.motion.duration <= longest or found.missed > KEPT_PART * options.spare:
                 break
             within *= (1.0 - _TIME_SPARE) * longest / found.motion.duration
-            sooner = self._down_softly(
-                found.curve, min(found.duration, within), goal, flows[-1:], replace(hurrying, longest=within)
+            found, run = self._down_softly(
+                found.curve, min(found.duration, within), flows[-1:], run, replace(hurrying, longest=within)
             )
-            if sooner is None:
-                break
-            found = self._as_sampled(sooner)
+            found = self._as_sampled(found, _Pricing(own_time, within))
         return found
 
     def _down_softly(
-        self, curve: JointCurve, duration: float, goal: Goal, flows: Sequence[float], options: Options
-    ) -> Timed | None:  # fmt: skip
+        self, curve: JointCurve, duration: float, flows: Sequence[float], run: _Run, options: Options
+    ) -> tuple[Timed, _Run]:
         """One descent for each of the soft `flows`, each from the result of the one before; see `_down`."""
-        begun, found, box, self._curved = self.rounds, None, options.box, None
+        begun, found, box, run = self.rounds, None, options.box, replace(run, curvature=None)
         for left, flow in zip(range(len(flows), 0, -1), flows, strict=True):
             rounds = options.most_rounds - (self.rounds - begun)
             if found is not None and rounds <= 0:
                 break
-            self._own_time = replace(self._own_time, soft_flow=flow)
             rounds = -(-rounds // left) if self._hurried else rounds
             rough = options.rough or left > 1
-            there = self._down(curve, duration, goal, replace(options, most_rounds=rounds, box=box, rough=rough))
-            found = there or found
-            if there is None or options.is_hopeless(there, options.most_rounds):
+            one = replace(options, most_rounds=rounds, box=box, rough=rough)
+            found, run = self._down(curve, duration, flow, run, one)
+            if options.is_hopeless(found, options.most_rounds):
                 break
-            curve, duration, box = there.curve, there.duration, min(box, _NEXT_BOX)
-        self._own_time = replace(self._own_time, soft_flow=0.0)
-        return found
+            curve, duration, box = found.curve, found.duration, min(box, _NEXT_BOX)
+        assert found is not None  # there is at least one flow
+        return found, run
 
-    def _down(self, curve: JointCurve, duration: float, goal: Goal, options: Options) -> Timed | None:
-        """One descent; the result's cost is without rounded kinks."""
+    def _down(self, curve: JointCurve, duration: float, flow: float, run: _Run, options: Options) -> tuple[Timed, _Run]:
+        """One descent, for one of the soft flows; the result's cost is without rounded kinks."""
+        goal, times_missed = run.goal, run.times_missed
         free = goal if goal.q is None else None
         looks = self._looks(curve, options.spare, options.density, free)
-        self._longest, self._width = options.longest, LEAST_WIDTH
-        here = self._timed(self._within_cones(curve, looks), max(duration, SAMPLE_PERIOD), looks)
-        if here is None:
-            return None
-        price, unit = self._times_missed * MISSED_WORTH * here.cost, max(here.cost, NO_COST)
+        exact = _Pricing(replace(run.own_time, soft_flow=flow), options.longest)
+        here = self._timed(self._within_cones(curve, looks), max(duration, SAMPLE_PERIOD), exact, looks)
+        price, unit = times_missed * MISSED_WORTH * here.cost, max(here.cost, NO_COST)
         enough = _ENOUGH_ROUGH if options.rough else _ENOUGH_BENT
-        now = clear = self._first(self._rounded_off(here), free, unit, options.box)  # now, and when it was clear
+        now = clear = self._first(here, exact, free, unit, options.box, run.curvature)  # now, and when it was clear
         begun, steps, failed, slow = self.rounds, 0, 0, 0
         before: Timed | None = None  # the curve before the last step, if `now.bend` is still that of it
         while self.rounds - begun < options.most_rounds:
@@ -162,19 +227,19 @@ class DescentOfCost(Descent):
                     break
                 now, before = replace(clear, box=min(now.box, clear.box)).after_failure(1.0), None
                 continue
-            if now.here.cost <= self._nothing and now.here.missed <= looks.allowed:
+            if now.here.cost <= now.pricing.nothing and now.here.missed <= looks.allowed:
                 break
             self._brake.check()
             if before is not None:
-                now, before = replace(now, bend=self._learnt(now.bend, before, now.here, free, unit)), None
+                now, before = replace(now, bend=self._bend_after(before, now, free, unit)), None
                 clear = replace(clear, bend=now.bend) if clear.here is now.here else clear
-            if self._width > _SOFTEST * self._soft(now.here):
-                now = self._narrower(now, free, unit)
-                last = self._priced(clear.here) if is_astray(now.here, clear.here, looks) else now.here
-                clear = replace(clear, here=last)
+            if now.pricing.width > _SOFTEST * now.pricing.suitable_width(now.here):
+                now = now.narrower(free, unit)
+                last = now.pricing.priced(clear.here) if is_astray(now.here, clear.here, looks) else now.here
+                clear = replace(clear, here=last, pricing=now.pricing)
             steps, self.rounds = steps + 1, self.rounds + 1
             worst, known = now.here.cost + price * now.here.missed, looks.known
-            there = self._step(now, free, looks, below=worst)
+            there = self._step(now, free, looks, times_missed, below=worst)
             part, noticed = 1.0, looks.known != known
             if there is not None:
                 if noticed:  # the curve before may also go into a newly noticed obstacle
@@ -182,8 +247,8 @@ class DescentOfCost(Descent):
                     clear = replace(clear, here=seen) if clear.here is now.here else clear
                     now = replace(now, here=seen)
                     worst = seen.cost + price * seen.missed
-                there = self._cleared(now, there, free, looks, price)
-                there, part = self._shortened(now.here, there, free, looks, now.bend.slope * unit, price)
+                there = self._cleared(now, there, free, looks, times_missed, price)
+                there, part = self._shortened(now, there, free, looks, unit, price)
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
                 failed += 1
@@ -199,8 +264,8 @@ class DescentOfCost(Descent):
                 continue
             if there.missed > max(now.here.missed, looks.allowed):
                 # so far, going into an obstacle gains more than it costs
-                self._times_missed = min(_MORE_MISSED * self._times_missed, _MOST_MISSED)
-                price = self._times_missed * MISSED_WORTH * unit
+                times_missed = min(_MORE_MISSED * times_missed, _MOST_MISSED)
+                price = times_missed * MISSED_WORTH * unit
             # a box far beyond the steps that are taken makes the program large
             around = max(_AROUND * self._length(now.here, there), SMALLEST_BOX)
             box = min(GROW * part * now.box, LARGEST_BOX, around)
@@ -211,22 +276,20 @@ class DescentOfCost(Descent):
             if slow >= _SLOW and there.missed <= KEPT:
                 break
         if before is not None and self._problem.objective.jumps:
-            now = replace(now, bend=self._learnt(now.bend, before, now.here, free, unit))
+            now = replace(now, bend=self._bend_after(before, now, free, unit))
         found = clear if is_astray(now.here, clear.here, looks) else now
-        self._curved = found.bend.curvature * unit if self._problem.objective.jumps else None
-        self._width = LEAST_WIDTH
-        return self._priced(found.here)
+        curvature = found.bend.curvature * unit if self._problem.objective.jumps else None
+        return exact.priced(found.here), replace(run, times_missed=times_missed, curvature=curvature)
 
-    def _first(self, here: Timed, goal: Goal | None, unit: float, box: float) -> _State:
+    def _first(
+        self, here: Timed, exact: _Pricing, goal: Goal | None, unit: float, box: float, curvature: Matrix | None
+    ) -> _State:  # fmt: skip
         """The state in which a descent begins, with the curvature that a softer cost has shown."""
-        bend = Bend.smooth(*self._slope(here, goal, unit), here.curve.pieces, self._unit, box, here.duration)
-        return _State(here, box, bend if self._curved is None else replace(bend, curvature=self._curved / unit))
-
-    def _narrower(self, now: _State, goal: Goal | None, unit: float) -> _State:
-        """The same state with kinks rounded off by a width that suits the cost now."""
-        here = self._rounded_off(now.here)
-        slope, curvature, kinks = self._slope(here, goal, unit)
-        return replace(now, here=here, bend=replace(now.bend, slope=slope, known=curvature, kinks=kinks))
+        pricing = exact.rounded_off(here)
+        here = pricing.priced(here)
+        bend = Bend.smooth(*pricing.slope(here, goal, unit), here.curve.pieces, self._unit, box, here.duration)
+        bend = bend if curvature is None else replace(bend, curvature=curvature / unit)
+        return _State(here, box, pricing, bend)
 
     def estimates(self, curves: Sequence[JointCurve], durations: Vector, *, longest: float) -> Vector:
         """(C,) estimated costs of curves with the same pieces in their own times.
@@ -241,36 +304,20 @@ class DescentOfCost(Descent):
         costs = self._own_time.costs(curves, T, width=LEAST_WIDTH, places=_PLACES_OF_ESTIMATE)
         return np.asarray(costs * (1.0 + _LATE * late))
 
-    def _soft(self, here: Timed) -> float:
-        return float(suitable_width(max(here.cost, self._nothing), here.duration, len(self._unit)))
-
-    def _rounded_off(self, here: Timed) -> Timed:
-        """The same curve with the cost's kinks rounded off by a suitable width."""
-        self._nothing = _NOTHING * self._own_time.gross(here.curve, here.duration)
-        self._width = self._soft(here)
-        return self._priced(here)
-
-    def _priced(self, here: Timed) -> Timed:
-        return replace(here, cost=self._own_cost(here.curve, here.duration))
-
-    def _own_cost(self, curve: JointCurve, duration: float) -> float:
-        """The cost of a curve in its own time, more if that is longer than allowed."""
-        late = max(duration / self._longest - 1.0, 0.0)
-        return self._own_time.cost(curve, duration, width=self._width) * (1.0 + _LATE * late)
-
-    def _as_sampled(self, found: Timed) -> Timed:
+    def _as_sampled(self, found: Timed, exact: _Pricing) -> Timed:
         """The same curve with its motion within all limits, and the cost of that."""
         motion = time_evenly(found.curve, found.duration, self._problem.limits, drive=self._drive)
-        own_cost = self._own_cost(found.curve, found.duration)  # that of `found` may be of a softer cost
+        own_cost = exact.cost(found.curve, found.duration)  # that of `found` may be of a softer cost
         return replace(found, within_limits=motion, cost=motion_cost(self._problem, motion), own_cost=own_cost)
 
     def _shortened(
-        self, here: Timed, there: Timed, goal: Goal | None, looks: Looks, slope: Vector, price: float
+        self, now: _State, there: Timed, goal: Goal | None, looks: Looks, unit: float, price: float
     ) -> tuple[Timed, float]:
-        """The curve `there`, or one nearer to `here` if `there` costs more; and the part of the step that is left.
+        """The curve `there`, or one nearer to the present one if it costs more; and the part of the step that is left.
 
-        The part is where the parabola through both costs, with `slope` (m,) at `here`, is least.
+        The part is where the parabola through both costs, with the slope at the present curve, is least.
         """
+        here, slope = now.here, now.bend.slope * unit
         worst, whole, part = here.cost + price * here.missed, there, 1.0
         for _ in range(_SHORTENINGS):
             worse = there.cost + price * there.missed - worst
@@ -282,13 +329,15 @@ class DescentOfCost(Descent):
             control = here.curve.control + part * (whole.curve.control - here.curve.control)
             duration = here.duration + part * (whole.duration - here.duration)
             self.rounds += 1
-            shorter = self._on_goal(here.curve, control, duration, goal, looks, below=worst)
+            shorter = self._on_goal(here.curve, control, goal, looks)
             if shorter is None:
                 break
-            there = shorter
+            there = self._timed(shorter, duration, now.pricing, looks, below=worst)
         return there, part
 
-    def _cleared(self, now: _State, there: Timed, goal: Goal | None, looks: Looks, price: float) -> Timed:
+    def _cleared(
+        self, now: _State, there: Timed, goal: Goal | None, looks: Looks, times_missed: float, price: float
+    ) -> Timed:  # fmt: skip
         """The curve `there`, or one after a step that also keeps the clearances linearised at `there`.
 
         The step is tried if `there` costs less but misses too much, and its curve is taken if it is better.
@@ -297,43 +346,39 @@ class DescentOfCost(Descent):
         if not there.cost < worst <= worth:
             return there
         self.rounds += 1
-        again = self._step(now, goal, looks, below=worst, beyond=there)
+        again = self._step(now, goal, looks, times_missed, below=worst, beyond=there)
         return there if again is None or again.cost + price * again.missed >= worth else again
 
-    def _slope(self, here: Timed, goal: Goal | None, unit: float) -> tuple[Vector, Matrix, Kinks]:
-        """How the cost, divided by `unit`, changes with the control points that may move, and T.
-
-        The slope, the known curvature, and the kinks.
-        """
-        moving = slice(1, here.curve.pieces + (goal is not None))
-        found = self._own_time.slope(here.curve, here.duration, moving, width=self._width)
-        if here.duration > self._longest:
-            found.slope[-1] += _LATE * here.cost / self._longest
-        return found.slope / unit, found.curvature / unit, found.kinks.over(unit)
-
-    def _learnt(self, bend: Bend, before: Timed, here: Timed, goal: Goal | None, unit: float) -> Bend:
-        """The model at the curve `here` from that at the curve `before`."""
-        return bend.after(self._moved(before, here, goal), *self._slope(here, goal, unit))
+    def _bend_after(self, before: Timed, now: _State, goal: Goal | None, unit: float) -> Bend:
+        """The model at the present curve from that at the curve `before`, which the state still has."""
+        return now.bend.after(self._moved(before, now.here, goal), *now.pricing.slope(now.here, goal, unit))
 
     def _length(self, here: Timed, there: Timed) -> float:
         """The largest move of a control point from one curve to another [rad or m of the fastest joint]."""
         return float(np.max(np.abs(there.curve.control - here.curve.control) / self._unit))
 
     def _step(
-        self, now: _State, goal: Goal | None, looks: Looks, *, below: float, beyond: Timed | None = None
+        self, now: _State, goal: Goal | None, looks: Looks, times_missed: float, *, below: float,
+        beyond: Timed | None = None,
     ) -> Timed | None:  # fmt: skip
         """The curve after the best small step, see `_timed`; None if there is none. For `beyond` see `_model`."""
         model = self._model(now.here, goal, looks, now.box, beyond=beyond)
-        missed = self._times_missed * MISSED_PRICE
-        x = model.best_step(missed, bend=now.bend, longest=self._longest, most_iterations=_ITERATIONS_BENT)
+        missed, longest = times_missed * MISSED_PRICE, now.pricing.longest
+        x = model.best_step(missed, bend=now.bend, longest=longest, most_iterations=_ITERATIONS_BENT)
         if x is None:
             return None
         control, duration = model.step(x)
-        return self._on_goal(now.here.curve, control, duration, goal, looks, below=below)
+        curve = self._on_goal(now.here.curve, control, goal, looks)
+        return None if curve is None else self._timed(curve, duration, now.pricing, looks, below=below)
 
-    def _timed(self, curve: JointCurve, duration: float, looks: Looks, *, below: float = np.inf) -> Timed | None:
-        """See `Descent._timed`; over the duration, or a longer one if the limits require it."""
-        duration = self._own_time.least_duration(curve, duration)
-        cost = self._own_cost(curve, duration)
+    def _timed(
+        self, curve: JointCurve, duration: float, pricing: _Pricing, looks: Looks, *, below: float = np.inf
+    ) -> Timed:  # fmt: skip
+        """The curve with its cost over the duration, or over a longer one if the limits require it.
+
+        If it does not cost less than `below`, its clearances are not checked.
+        """
+        duration = pricing.own_time.least_duration(curve, duration)
+        cost = pricing.cost(curve, duration)
         margins = Margins.none(curve.control.shape[1]) if cost >= below else looks.find_margins(curve)
         return Timed(curve, duration, cost, max(-margins.least, 0.0), margins)

@@ -100,7 +100,8 @@ class DescentOfTime(Descent):
         may_end = self._hurried and goal is not None and here.missed <= looks.allowed
         if may_end and duration > (1.0 - _ENOUGH_PROMISED) * here.cost:
             return here
-        return self._on_goal(here.curve, control, duration, goal, looks, below=below)
+        curve = self._on_goal(here.curve, control, goal, looks)
+        return None if curve is None else self._timed(curve, duration, looks, below=below)
 
     def _mended(
         self, there: Timed, goal: Goal | None, looks: Looks, box: float, *, below: float, longest: float
@@ -122,7 +123,10 @@ class DescentOfTime(Descent):
         return there
 
     def _timed(self, curve: JointCurve, duration: float, looks: Looks, *, below: float = np.inf) -> Timed | None:
-        """See `Descent._timed`; with its fastest motion."""
+        """The curve with its fastest motion; None if it has none.
+
+        If it does not cost less than `below`, its clearances are not checked.
+        """
         grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
         fastest = time_curve(curve, grid, self._problem.limits, drive=self._drive)
         if fastest is None:
