@@ -13,6 +13,7 @@ from backhoe_planner.machine import GRAVITY
 from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.goals.allowed_time import bound_for_allowed_time
 from backhoe_planner.planning.goals.cost_search import CostSearch
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.multistart.cost_descents import CostDescents
@@ -96,19 +97,24 @@ def test_starts_that_stay_in_an_obstacle_are_handed_out_once_the_cheapest_first(
     assert descents.take_blocked() == []
 
 
-def test_without_an_allowed_time_routes_are_tried_but_no_detours(
+def test_without_a_proven_fast_motion_a_route_round_the_bar_says_how_long_a_motion_may_take(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No fast motion is proven clear, so that a blocked start has no duration; a motion round the bar is found."""
+    """No start has a duration before: it is three times the bound, or half as long again, as often as needed."""
     monkeypatch.setattr(CostSearch, "_find_fast", lambda _: [])
     world, _, _ = line_through(planar4, BAR)
     found = find_goal_postures(world, world.problem.goals, near=STRETCHED, time=0.0)
     assert isinstance(found, GoalPostures)
     search = CostSearch(world, STRETCHED, found, time=0.0)
     assert search.run() == ""
-    assert search.allowed_time is None
     assert search.best is not None
-    assert search._descents.take_blocked()
+    assert search.allowed_time is not None
+    assert search.best.motion.duration <= search.allowed_time
+    steps = np.log(search.allowed_time / (3.0 * bound_for_allowed_time(world.problem, STRETCHED))) / np.log(1.5)
+    assert steps == pytest.approx(round(steps), abs=1e-9)
+    assert steps > -1e-9
+    assert search.best.curve is not None
+    assert margins(world, search.best.curve).min() > -1e-4
 
 
 def test_a_cost_is_near_the_lift_up_to_a_twentieth_and_what_is_worth_a_search(backhoe: bp.Robot) -> None:

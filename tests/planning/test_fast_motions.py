@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion import Problem, build_problem
+from backhoe_planner.motion import Problem, build_problem, motion_cost, time_evenly
 from backhoe_planner.planning import EFFORTS, Work, World
+from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.goals.allowed_time import bound_for_allowed_time
-from backhoe_planner.planning.goals.fast_motions import FastMotions, fast_motions
+from backhoe_planner.planning.goals.fast_motions import FastMotions, fast_motions, in_least_time
+from backhoe_planner.planning.multistart.incumbent import FoundMotion
 
 START = np.full(4, 0.1)
 
@@ -82,3 +84,22 @@ def test_without_a_posture_on_a_goal_there_is_no_fast_motion(planar4: bp.Robot) 
     """The arm is 4 m long."""
     results, _ = found(planar4, {"position": [9.0, 0.0, 0.0]}, "normal")
     assert results == []
+
+
+def test_in_least_time_a_slow_motion_along_a_line_is_that_of_one_joint_at_its_limits(planar4: bp.Robot) -> None:
+    """At acceleration a, and below its greatest rate, a joint moves by d in 2 sqrt(d / a). The way stays the same."""
+    d, a = 0.2, 0.02
+    goal = joints_goal(planar4, 0.1 + d)
+    content = {
+        "version": 1, "start": {"joints": dict.fromkeys(planar4.joint_names, 0.1)}, "objective": "work",
+        "task": {"goal": goal}, "limits": {"acceleration": {"joint1": a}},
+    }  # fmt: skip
+    problem = build_problem(planar4, bp.scene_from_dict(content))
+    curve = JointCurve.straight(START, START + d * np.eye(4)[0], 6)
+    slow = FoundMotion(time_evenly(curve, 20.0), 1.0, problem.goals[0], "straight", curve)
+    fast = in_least_time(slow, problem)
+    assert fast.motion.duration == pytest.approx(2.0 * np.sqrt(d / a), rel=0.02)
+    assert fast.cost == motion_cost(problem, fast.motion)
+    assert fast.curve is None  # it is not run at an even pace
+    np.testing.assert_allclose(fast.motion.q[[0, -1]], slow.motion.q[[0, -1]], atol=1e-12)
+    assert in_least_time(fast, problem) is fast

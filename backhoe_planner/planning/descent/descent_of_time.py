@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.motion import SAMPLE_PERIOD, Goal, time_curve
+from backhoe_planner.machine import JointLimits
+from backhoe_planner.motion import SAMPLE_PERIOD, Drive, Goal, Trajectory, time_curve
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import (
     GROW,
@@ -36,6 +37,12 @@ _ENOUGH_PROMISED = 0.005
 _UNEVEN = 1.1  # times the duration of its fastest motion, from which a curve is fitted to that motion; chosen
 _MENDED = 0.1  # m: a step that misses by less is judged only after another step; chosen
 _ITERATIONS = 2_000  # of the quadratic program at most; it takes some hundred
+
+
+def fastest_along(curve: JointCurve, limits: JointLimits, drive: Drive) -> Trajectory | None:
+    """The fastest motion along a curve; None if it has none."""
+    grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
+    return time_curve(curve, grid, limits, drive=drive)
 
 
 class DescentOfTime(Descent):
@@ -127,8 +134,7 @@ class DescentOfTime(Descent):
 
         If it does not cost less than `below`, its clearances are not checked.
         """
-        grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
-        fastest = time_curve(curve, grid, self._problem.limits, drive=self._drive)
+        fastest = fastest_along(curve, self._problem.limits, self._drive)
         if fastest is None:
             return None
         cost = fastest.duration

@@ -15,7 +15,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import motion_cost
 from backhoe_planner.planning.descent.descent_of_cost import NO_COST
-from backhoe_planner.planning.goals.fast_motions import fast_motions
+from backhoe_planner.planning.goals.fast_motions import fast_motions, in_least_time, time_allowed
 from backhoe_planner.planning.goals.goal_postures import GoalPostures
 from backhoe_planner.planning.goals.motion_search import MotionSearch
 from backhoe_planner.planning.multistart.cost_descents import CostDescents
@@ -49,7 +49,7 @@ class CostSearch(MotionSearch):
 
     Parameters
     ----------
-    longest: the longest time that a motion may take [s]; if infinite, the search finds it.
+    longest: the longest time that a motion may take [s]; if infinite, the search finds it with its first motion.
     before: an earlier search from the same start among the same obstacles, which has ended and is continued here with
         other random choices: the same longest time holds, and only better motions count.
     freely: whether to begin with what descents without obstacles make of lines to many more postures, and without a
@@ -78,10 +78,7 @@ class CostSearch(MotionSearch):
         super().__init__(world, start, found, incumbent, time=time, more=more)
         self._freely = freely
         self._goes_on = before is not None and before.allowed_time is not None
-        self._descents = CostDescents(
-            world, start, incumbent, time=time, before=None if before is None else before._descents
-        )
-        self._refining = Refining(world, self._descents)
+        self._begin_descents(None if before is None else before._descents)
         self._lift, self._little, self._is_frugal = lift_of(world.problem), little_cost(world), is_frugal(world)
         # what a search found on its way round obstacles depends on its random choices, not on where it began
         self._tried = [curve for one in earlier if not one.leads_round for curve in one._descents.begun]
@@ -91,17 +88,26 @@ class CostSearch(MotionSearch):
         self.repeats = False
         self._for_time = (0, 0)  # motions looked at, and routes found, by searches for a fast motion
 
+    def _begin_descents(self, before: CostDescents | None = None) -> None:
+        """Set the descents of this search, and those that refine the best; `before` of one that is continued here."""
+        self._descents = CostDescents(self._world, self._start, self._incumbent, time=self._time, before=before)
+        self._refining = Refining(self._world, self._descents)
+
     def _search(self) -> None:
+        turn = 1  # the search for the fastest had the first routes
         if self._freely:
             self._go_freely()
         else:
-            self._go_fast()
+            ended = [] if self._goes_on else self._find_fast()
+            if self.allowed_time is None:
+                turn = self._find_any(turn)
+                ended += [] if self.best is None else [self.best]
+            if self.allowed_time is not None:
+                self._go_fast(ended, self.allowed_time)
         if self.repeats:
             return
-        if self.allowed_time is None:
-            self._go_straight()
         if self.leads_round or (self.best is None and not self._freely):
-            self._go_round(1)  # the search for the fastest had the first routes
+            self._go_round(turn)
             self._lead_elsewhere()
         if self._is_worth_refining():
             self.repeats = self._is_refined_already()
@@ -145,15 +151,9 @@ class CostSearch(MotionSearch):
 
     # --- starts -----------------------------------------------------------------------
 
-    def _go_fast(self) -> None:
-        """Descents from the results of searches for a fast motion, and from lines to many postures.
-
-        None of these if no proven motion is known.
-        """
-        ended = [] if self._goes_on else self._find_fast()
-        if self.allowed_time is None:
-            return
-        longest, work = self.allowed_time, self._world.work
+    def _go_fast(self, ended: Sequence[FoundMotion], longest: float) -> None:
+        """Descents from the motions `ended`, and from lines to many postures that are reached within `longest` [s]."""
+        work = self._world.work
         if not self._hurried:
             self._look_for_postures(within=longest)
         self._descents.rounds.reserve(work.descent_rounds // 3)
@@ -204,6 +204,24 @@ class CostSearch(MotionSearch):
                 self._incumbent.offer(replace(found.fastest, cost=motion_cost(self._problem, found.fastest.motion)))
         return ended
 
+    def _find_any(self, turn: int) -> int:
+        """Descents from lines and routes until a motion is proven, where no fast one was; the next turn of routes.
+
+        As for a fast one, its duration says how long a motion may take; if it takes longer, so does the fastest along
+        its curve, which replaces it.
+        """
+        self._go_straight()
+        turn = self._find_way(turn)
+        if self.best is not None:
+            found, incumbent = self.best, self._incumbent
+            for one in (in_least_time(found, self._problem), found):
+                incumbent.longest = time_allowed(self._world, self._start, one.motion.duration, time=self._time)
+                if incumbent.offer(one):
+                    break
+            # what descents without a longest time ended at is no longer to be compared with
+            self._begin_descents()
+        return turn
+
     # --- routes -----------------------------------------------------------------------
 
     def _try_routes(self, turn: int, dull: int) -> bool:
@@ -212,8 +230,7 @@ class CostSearch(MotionSearch):
         The cost of a route says little about the result of a descent, and sampled routes differ more from each other
         than the cheapest through roadmaps.
         """
-        if self.allowed_time is not None:
-            self._go_around(turn)
+        self._go_around(turn)
         is_sampled = turn % 2 == 1 or not self._has_roadmaps
         return self._follow(self._sampled(turn) if is_sampled else self._mapped(turn, dull))
 
@@ -269,11 +286,9 @@ class CostSearch(MotionSearch):
 
     def _mapped(self, turn: int, dull: int) -> Iterator[FoundMotion]:
         """Motions along different routes through a roadmap, which take as long as a motion may."""
-        if self.allowed_time is None:
-            return super()._mapped(turn, dull)
         # compare prices with prices: a descent makes a route several times cheaper
-        nodes = self._world.work.effort.nodes
-        return self._through_roadmap(turn, longest=self.allowed_time, nodes=nodes, prices_alone=True)
+        nodes, longest = self._world.work.effort.nodes, self._incumbent.longest
+        return self._through_roadmap(turn, longest=longest, nodes=nodes, prices_alone=True)
 
     # --- what is enough ---------------------------------------------------------------
 

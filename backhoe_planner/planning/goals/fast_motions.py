@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Goal, Problem
+from backhoe_planner.motion import Goal, Problem, drive_of, motion_cost
+from backhoe_planner.planning.descent.descent_of_time import fastest_along
 from backhoe_planner.planning.goals.allowed_time import (
     allowed_time,
     bound_behind,
@@ -90,6 +91,22 @@ def fast_motions(world: World, start: Vector, *, time: float, allowed: float | N
         )
         if fastest is not None and has_room(bound, fastest.motion.duration):
             return
+
+
+def in_least_time(found: FoundMotion, problem: Problem) -> FoundMotion:
+    """The fastest motion along the curve of a motion; the same if there is none."""
+    curve = found.curve
+    fastest = None if curve is None else fastest_along(curve, problem.limits, drive_of(problem))
+    if fastest is None or fastest.duration >= found.motion.duration:
+        return found
+    return replace(found, motion=fastest, cost=motion_cost(problem, fastest), curve=None)
+
+
+def time_allowed(world: World, start: Vector, fastest: float, *, time: float) -> float:
+    """How long a motion may take [s] if the fastest known one takes `fastest` [s]; see `fast_motions`."""
+    problem, most = world.problem, max(world.problem.max_duration - time, 0.0)
+    bound = 0.0 if world.work.effort.is_hurried or np.isfinite(most) else bound_for_allowed_time(problem, start)
+    return _allowed_time(bound, fastest, most)
 
 
 def _allowed_time(bound: float, fastest: float, most: float) -> float:

@@ -153,10 +153,7 @@ class MotionSearch(ABC):
         turn: how many times routes were sampled before, by another search from the same start.
         """
         work, dull = self._world.work, 0
-        self._descents.rounds.reserve(FINE_ROUNDS if work.effort.descent_rounds > 2 * FINE_ROUNDS else 0)
-        while self.best is None and self._ways.may_sample and turn < max(work.effort.ways_at_once, _FEWEST_WAYS):
-            self._follow(self._sampled(turn))
-            turn += 1
+        turn = self._find_way(turn)
         work.descent_rounds, work.way_rounds = work.descent_rounds + work.way_rounds, 0
         while self.best is not None and dull < self._patience() and not self._is_optimal():
             if self._descents.rounds.left <= 0:
@@ -166,6 +163,15 @@ class MotionSearch(ABC):
             turn += 1
             gained = self.best.cost < (1.0 - _GAIN) * before
             dull = 0 if gained else dull + (1 if found or self._has_roadmaps else _VAIN)
+
+    def _find_way(self, turn: int) -> int:
+        """Descents from sampled routes, unless or until a motion is known or the search gives up; the next turn."""
+        effort = self._world.work.effort
+        self._descents.rounds.reserve(FINE_ROUNDS if effort.descent_rounds > 2 * FINE_ROUNDS else 0)
+        while self.best is None and self._ways.may_sample and turn < max(effort.ways_at_once, _FEWEST_WAYS):
+            self._follow(self._sampled(turn))
+            turn += 1
+        return turn
 
     def _try_routes(self, turn: int, dull: int) -> bool:
         """Descents from routes, after some vain turns in a row; whether there are any routes."""
