@@ -51,6 +51,20 @@ def test_a_curve_is_at_rest_at_its_ends() -> None:
     np.testing.assert_allclose(curve(ends, 1), 0.0, atol=1e-13)
 
 
+def test_a_curve_moved_aside_keeps_its_ends_and_the_limits(planar4: bp.Robot) -> None:
+    """At skew 1 all is moved by the sine of pi u; a joint with skew k is moved by all of it where u^k is a half."""
+    limits, curve = planar4.limits, JointCurve.straight(np.zeros(4), np.full(4, 0.4), 4)
+    aside, skew = np.array([0.2, -0.1, 0.3, 50.0]), np.array([1.0, 0.5, 2.0, 1.0])
+    moved = curve.moved_aside(aside, skew, limits).control
+    np.testing.assert_array_equal(moved[[0, -1]], curve.control[[0, -1]])
+    change = moved - curve.control
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(change[:, 0], [0.0, 0.2 * half, 0.2, 0.2 * half, 0.0], atol=1e-15)
+    assert change[1, 1] == pytest.approx(-0.1)  # u = 1/4, and its root is a half
+    np.testing.assert_allclose(change[1:4, 2], 0.3 * np.sin(np.pi * np.array([1.0, 4.0, 9.0]) / 16.0))
+    np.testing.assert_array_equal(moved[1:4, 3], limits.upper[3])
+
+
 UNEVEN = (0.0, 0.03, 0.1, 0.35, 0.6, 0.9, 0.98, 1.0)
 
 

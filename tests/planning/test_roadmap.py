@@ -146,4 +146,5 @@ def test_a_detour_past_another_side_of_the_obstacles_is_found() -> None:
 def test_efforts_without_a_roadmap_reserve_no_rounds_for_its_paths() -> None:
     """Such rounds would only refine a curve."""
     for effort in EFFORTS.values():
-        assert (effort.way_rounds > 0) == (effort.led_rounds > 0) == (effort.dull_searches > 0)
+        more = (effort.way_rounds, effort.led_rounds, effort.hop_rounds)
+        assert [rounds > 0 for rounds in more] == 3 * [effort.dull_searches > 0]

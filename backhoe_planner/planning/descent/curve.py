@@ -123,6 +123,19 @@ class JointCurve:
         part = np.linspace(0.0, 1.0, len(self.control))[:, None]
         return self.moved_to(self.control + from_rest_to_rest(part) * (end - self.control[-1]))
 
+    def moved_aside(self, aside: Vector, skew: Vector, limits: JointLimits) -> JointCurve:
+        """The curve between the same ends with its control points moved aside, within joint limits.
+
+        Parameters
+        ----------
+        aside: (n,) by how much each joint is moved where it is moved most [rad or m].
+        skew: (n,) powers of u, above 0: a joint is moved most at u = 0.5^(1 / skew).
+        """
+        u = np.linspace(0.0, 1.0, len(self.control))[1:-1, None]
+        moved = self.control.copy()
+        moved[1:-1] = np.clip(moved[1:-1] + aside * np.sin(np.pi * u**skew), limits.lower, limits.upper)
+        return self.moved_to(moved)
+
     @classmethod
     def fitted(
         cls, motion: Trajectory, pieces: int, limits: JointLimits, *, knots: tuple[float, ...] = ()

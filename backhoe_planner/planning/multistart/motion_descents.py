@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -88,14 +89,21 @@ class MotionDescents(ABC):
         self.descend(start)
         return True
 
-    def descend(self, start: Start) -> bool:
-        """Run a descent from a start, and keep its motion if it is proven and better; whether it got clear."""
+    def descend(self, start: Start, *, hops: bool = False) -> bool:
+        """Run a descent from a start, and keep its motion if it is proven and better; whether it got clear.
+
+        Parameters
+        ----------
+        hops: whether the start is beside a motion at which another descent ended. It is then not given up for going the
+            same way.
+        """
         curve, duration, goal = start.curve, start.duration, start.goal
         rounds, box, spare, density = self._most_rounds, FIRST_BOX, SPARE, 2
+        looks = () if hops else self._looks
         least = self._least_worth(curve, goal)
 
         def is_over(here: Timed, rounds: int) -> bool:
-            return self._is_hopeless(here, rounds) or (here.missed <= KEPT_PART * spare and here.cost <= least)
+            return self._is_hopeless(here, rounds, looks) or (here.missed <= KEPT_PART * spare and here.cost <= least)
 
         for _ in range(_PROOFS):
             options = Options(rounds, spare, density, box, is_over, self._longest(duration), rough=self._effort.rough)
@@ -130,9 +138,9 @@ class MotionDescents(ABC):
         longest = self.incumbent.longest
         return longest if np.isfinite(longest) else _SLOWER * duration
 
-    def _is_hopeless(self, here: Timed, rounds: int) -> bool:
-        """Whether a descent is given up at a curve after so many rounds."""
-        if rounds in self._looks and self._goes_where_another_ended(here, self._no_less):
+    def _is_hopeless(self, here: Timed, rounds: int, looks: Sequence[int]) -> bool:
+        """Whether a descent is given up at a curve after so many rounds; for `looks` see the class."""
+        if rounds in looks and self._goes_where_another_ended(here, self._no_less):
             return True
         if rounds < _TRIED or self.best is None:
             return rounds >= _TRIED and here.missed > FURTHER_OFF

@@ -54,6 +54,7 @@ class Effort:
     way_rounds: additional rounds, for descents from routes through roadmaps.
     led_rounds: additional rounds for another cost than the time, for descents from a way around an obstacle that is led
         to other postures.
+    hop_rounds: additional rounds for little work, for descents from beside the best motion.
     pieces: of the curve that a descent bends; 20 instead of 12 gain 1 % and take twice as long.
     ways_at_once: how many straight lines to postures on a goal are tried, and how many sampled routes, of which the
         cheapest start descents.
@@ -87,6 +88,7 @@ class Effort:
     descent_rounds: int
     way_rounds: int
     led_rounds: int
+    hop_rounds: int
     pieces: int
     ways_at_once: int
     dull_searches: int
@@ -118,6 +120,7 @@ _NORMAL = Effort(
     descent_rounds=70,
     way_rounds=90,
     led_rounds=90,
+    hop_rounds=90,
     pieces=12,
     ways_at_once=3,
     dull_searches=1,
@@ -149,6 +152,7 @@ EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
             descent_rounds=6,
             way_rounds=0,
             led_rounds=0,
+            hop_rounds=0,
             pieces=8,
             ways_at_once=1,
             other_ways=0,
@@ -255,7 +259,7 @@ class Work:
     ----------
     effort: at the beginning.
     brake: checked by every search.
-    motions, law_steps, sweeps, descent_rounds, way_rounds, led_rounds: remaining counts; see `Effort`.
+    motions, law_steps, sweeps, descent_rounds, way_rounds, led_rounds, hop_rounds: remaining counts; see `Effort`.
     """
 
     def __init__(self, effort: Effort = EFFORTS["normal"], brake: Brake | None = None) -> None:
@@ -267,6 +271,7 @@ class Work:
         self.descent_rounds = effort.descent_rounds
         self.way_rounds = effort.way_rounds
         self.led_rounds = effort.led_rounds
+        self.hop_rounds = effort.hop_rounds
         self._withheld_steps = 0  # of the law: they were subtracted, but are not to be done
         self.brake.add(self)
 
@@ -280,8 +285,8 @@ class Work:
     def done(self) -> float:
         """What was subtracted so far, as the time that one core takes for it about [s]."""
         effort = self.effort
-        rounds = effort.descent_rounds + effort.way_rounds + effort.led_rounds
-        rounds -= self.descent_rounds + self.way_rounds + self.led_rounds
+        rounds = effort.descent_rounds + effort.way_rounds + effort.led_rounds + effort.hop_rounds
+        rounds -= self.descent_rounds + self.way_rounds + self.led_rounds + self.hop_rounds
         done = {
             "motions": effort.motions - self.motions,
             "law_steps": effort.law_steps - self.law_steps - self._withheld_steps,

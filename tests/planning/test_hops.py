@@ -1,0 +1,113 @@
+"""Descents from beside the best motion for little work: how many, from where, and what they gain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain, repeat
+
+import numpy as np
+import pytest
+from one_joint_search import DURATION, END, START, ended_search
+
+import backhoe_planner as bp
+from backhoe_planner.machine import GRAVITY, Dynamics
+from backhoe_planner.motion import time_evenly
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.multistart import refining
+from backhoe_planner.planning.multistart.incumbent import FoundMotion
+from backhoe_planner.planning.multistart.start_prices import Start
+from validation.habitats import load_machine
+from validation.sites import SiteKey, random_site
+
+
+def hops(
+    robot: bp.Robot, monkeypatch: pytest.MonkeyPatch, *, millimetres: float, gains: Iterator[float]
+) -> list[tuple[Start, FoundMotion]]:
+    """The starts of all hops, each with the best motion before, if the hops gain these parts of the cost in turn.
+
+    Parameters
+    ----------
+    millimetres: by which the best motion at first could lift all moving parts.
+    """
+    world, _, search = ended_search(robot)
+    masses, _ = Dynamics(robot).bodies()
+    curve = JointCurve.straight(START, END, 12)
+    cost = millimetres * 1e-3 * GRAVITY * float(np.sum(masses))
+    best = FoundMotion(time_evenly(curve, DURATION), cost, world.problem.goals[0], "straight", curve)
+    incumbent, begun = search._incumbent, list[tuple[Start, FoundMotion]]()
+    incumbent.best, search._refining.before = best, None
+
+    def descend(start: Start, *, hops: bool = False) -> bool:
+        assert hops
+        assert incumbent.best is not None
+        begun.append((start, incumbent.best))
+        cost = (1.0 - next(gains)) * incumbent.best.cost
+        incumbent.best = replace(incumbent.best, cost=cost, curve=start.curve)
+        return True
+
+    monkeypatch.setattr(search._descents, "descend", descend)
+    monkeypatch.setattr(search._refining, "_refine", lambda *_: False)
+    search._refining.run()
+    return begun
+
+
+@pytest.mark.parametrize(
+    ("millimetres", "gains", "count"),
+    [
+        (39.0, (), 8),
+        (39.0, (0.005, 0.005), 8),  # half a per cent is no gain
+        (39.0, (0.0, 0.0, 0.05), 11),
+        (41.0, (), 0),
+        (1.4, (), 0),  # finer curves suffice
+        (1.6, (0.4,), 1),  # what is left counts as little
+        (39.0, (0.05,) * 99, 24),
+    ],
+)
+def test_hops_end_after_some_without_a_gain(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, millimetres: float, gains: tuple[float, ...], count: int
+) -> None:
+    begun = hops(planar4, monkeypatch, millimetres=millimetres, gains=chain(gains, repeat(0.0)))
+    assert len(begun) == count
+
+
+def test_each_hop_is_from_beside_the_best_motion_so_far(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All joints of this arm may turn equally fast: each is moved by 0.7 rad at most, and by 1 rad, in turn."""
+    begun = hops(planar4, monkeypatch, millimetres=39.0, gains=chain((0.0, 0.2), repeat(0.0)))
+    sides = []
+    for number, (start, best) in enumerate(begun):
+        assert best.curve is not None
+        aside = start.curve.control - best.curve.control
+        np.testing.assert_array_equal(aside[[0, -1]], 0.0)
+        most = (0.7, 1.0)[number % 2]
+        assert np.all(np.max(np.abs(aside), axis=0) <= most)
+        assert np.all(np.max(np.abs(aside), axis=0) > 0.9 * 0.3 * most)  # 12 pieces are near the place that moves most
+        sides.append(np.sign(aside[6]))
+    np.testing.assert_array_equal(sides[1::2], -np.array(sides[::2]))
+    assert len(np.unique(sides, axis=0)) > 2
+
+
+@pytest.mark.parametrize("objective", ["effort", "hydraulic"])
+def test_only_for_little_work_there_are_hops(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch, objective: str
+) -> None:
+    monkeypatch.setattr(refining.Refining, "_sides", lambda *_: pytest.fail("there is a hop"))
+    start = dict(zip(backhoe.joint_names, (-0.3, 0.3, -1.4, -0.8), strict=True))
+    goal = {"joints": start | {"swing": -0.2}}
+    content = {"version": 1, "start": {"joints": start}, "task": {"goal": goal}, "objective": objective}
+    assert bp.plan(backhoe, bp.scene_from_dict(content), seed=3).verified
+
+
+@pytest.mark.long
+def test_a_machine_that_swings_folded_needs_half_of_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without hops this site costs 215 J with all seeds."""
+    robot = load_machine("telescope")
+    scene = random_site(robot, SiteKey("telescope", "open", "goal", 0, 523002)).scene
+    scene = scene.model_copy(update={"objective": "work"})
+    cost = []
+    for count in (0, refining._HOPS):
+        monkeypatch.setattr(refining, "_HOPS", count)
+        plan = bp.plan(robot, scene, seed=1)
+        assert plan.verified
+        cost.append(plan.metrics.energy["work"])
+    assert cost[1] < 0.6 * cost[0]
