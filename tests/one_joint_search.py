@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 import backhoe_planner as bp
@@ -22,8 +24,10 @@ def scene(robot: bp.Robot, objective: str) -> bp.Scene:
 
 
 def world_of(robot: bp.Robot) -> World:
-    """The world of a search for the least work to the goal."""
-    return World(build_problem(robot, scene(robot, "work")), seed=5, work=Work(EFFORTS["normal"]))
+    """The world of a search for the least work to the goal, without hops."""
+    return World(
+        build_problem(robot, scene(robot, "work")), seed=5, work=Work(replace(EFFORTS["normal"], hop_rounds=0))
+    )
 
 
 def ended_search(robot: bp.Robot) -> tuple[World, GoalPostures, CostSearch]:

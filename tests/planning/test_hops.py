@@ -14,15 +14,25 @@ import backhoe_planner as bp
 from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.goals.cost_search import CostSearch
 from backhoe_planner.planning.multistart import refining
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.multistart.start_prices import Start
+from backhoe_planner.planning.search.effort import EFFORTS
+from backhoe_planner.planning.world.world import World
 from validation.habitats import load_machine
 from validation.sites import SiteKey, random_site
 
 
+@pytest.fixture(scope="module")
+def ended(planar4: bp.Robot) -> tuple[World, CostSearch]:
+    """A search for the least work that has ended, and its world."""
+    world, _, search = ended_search(planar4)
+    return world, search
+
+
 def hops(
-    robot: bp.Robot, monkeypatch: pytest.MonkeyPatch, *, millimetres: float, gains: Iterator[float]
+    ended: tuple[World, CostSearch], monkeypatch: pytest.MonkeyPatch, *, millimetres: float, gains: Iterator[float]
 ) -> list[tuple[Start, FoundMotion]]:
     """The starts of all hops, each with the best motion before, if the hops gain these parts of the cost in turn.
 
@@ -30,13 +40,13 @@ def hops(
     ----------
     millimetres: by which the best motion at first could lift all moving parts.
     """
-    world, _, search = ended_search(robot)
-    masses, _ = Dynamics(robot).bodies()
+    world, search = ended
+    masses, _ = Dynamics(world.problem.robot).bodies()
     curve = JointCurve.straight(START, END, 12)
     cost = millimetres * 1e-3 * GRAVITY * float(np.sum(masses))
     best = FoundMotion(time_evenly(curve, DURATION), cost, world.problem.goals[0], "straight", curve)
     incumbent, begun = search._incumbent, list[tuple[Start, FoundMotion]]()
-    incumbent.best, search._refining.before = best, None
+    incumbent.best, world.work.hop_rounds = best, EFFORTS["normal"].hop_rounds
 
     def descend(start: Start, *, hops: bool = False) -> bool:
         assert hops
@@ -65,15 +75,18 @@ def hops(
     ],
 )
 def test_hops_end_after_some_without_a_gain(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, millimetres: float, gains: tuple[float, ...], count: int
-) -> None:
-    begun = hops(planar4, monkeypatch, millimetres=millimetres, gains=chain(gains, repeat(0.0)))
+    ended: tuple[World, CostSearch], monkeypatch: pytest.MonkeyPatch, millimetres: float, gains: tuple[float, ...],
+    count: int,
+) -> None:  # fmt: skip
+    begun = hops(ended, monkeypatch, millimetres=millimetres, gains=chain(gains, repeat(0.0)))
     assert len(begun) == count
 
 
-def test_each_hop_is_from_beside_the_best_motion_so_far(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_hop_is_from_beside_the_best_motion_so_far(
+    ended: tuple[World, CostSearch], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All joints of this arm may turn equally fast: each is moved by 0.7 rad at most, and by 1 rad, in turn."""
-    begun = hops(planar4, monkeypatch, millimetres=39.0, gains=chain((0.0, 0.2), repeat(0.0)))
+    begun = hops(ended, monkeypatch, millimetres=39.0, gains=chain((0.0, 0.2), repeat(0.0)))
     sides = []
     for number, (start, best) in enumerate(begun):
         assert best.curve is not None

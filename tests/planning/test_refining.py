@@ -59,7 +59,6 @@ def test_if_refining_pays_the_cheapest_other_motions_are_refined_too(
         (descents.rounds, "run", bend),
         (refining, "_refine", finer),
         (descents.incumbent, "offer", offer),
-        (refining, "_hop", lambda: None),
     ):
         monkeypatch.setattr(owner, name, stub)
     refining.run()
@@ -97,7 +96,6 @@ def test_a_motion_that_costs_less_than_a_lift_by_a_millimetre_is_refined_once(
         return True
 
     monkeypatch.setattr(search._refining, "_refine", gain)
-    monkeypatch.setattr(search._refining, "_hop", lambda: None)
     search._refining.run()
     assert tried == begun
 

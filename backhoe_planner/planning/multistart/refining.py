@@ -115,7 +115,7 @@ class Refining:
         Basin hopping (Wales and Doye 1997) without worse motions in between. Only for little work, see `_HOPPED`.
         """
         problem, work, lift = self._problem, self._work, self._lift
-        if lift is None or problem.objective.jumps or problem.robot.n > _HOPPED_JOINTS:
+        if not work.hop_rounds or lift is None or problem.objective.jumps or problem.robot.n > _HOPPED_JOINTS:
             return
         if not _HOPPED[0] * lift.little < self._best().cost <= _HOPPED[1] * lift.little:
             return
