@@ -68,13 +68,11 @@ def fast_motions(world: World, start: Vector, *, time: float, allowed: float | N
     """
     problem, effort = world.problem, world.work.effort
     efforts: tuple[Effort, ...] = (effort,) if effort.is_hurried else (_FIRST_SEARCH, effort)
-    bound, most = 0.0, max(problem.max_duration - time, 0.0)  # the machine may have waited first
-    if allowed is not None:
+    most = max(problem.max_duration - time, 0.0)  # the machine may have waited first
+    if allowed is None:
+        bound = _bound(world, start, most)
+    else:
         efforts, bound = (_FIRST_SEARCH,), bound_behind(allowed)
-    elif np.isfinite(most):
-        bound = bound_behind(most)
-    elif not effort.is_hurried:
-        bound = bound_for_allowed_time(problem, start)
     for one in efforts:
         search = _search_fastest(world, start, one, time=time, enough=fastest_with_room(bound))
         if search is None:
@@ -104,9 +102,15 @@ def in_least_time(found: FoundMotion, problem: Problem) -> FoundMotion:
 
 def time_allowed(world: World, start: Vector, fastest: float, *, time: float) -> float:
     """How long a motion may take [s] if the fastest known one takes `fastest` [s]; see `fast_motions`."""
-    problem, most = world.problem, max(world.problem.max_duration - time, 0.0)
-    bound = 0.0 if world.work.effort.is_hurried or np.isfinite(most) else bound_for_allowed_time(problem, start)
-    return _allowed_time(bound, fastest, most)
+    most = max(world.problem.max_duration - time, 0.0)
+    return _allowed_time(_bound(world, start, most), fastest, most)
+
+
+def _bound(world: World, start: Vector, most: float) -> float:
+    """The bound that decides how long a motion may take, if the scene allows at most so much [s]; 0 in a hurry."""
+    if np.isfinite(most):
+        return bound_behind(most)
+    return 0.0 if world.work.effort.is_hurried else bound_for_allowed_time(world.problem, start)
 
 
 def _allowed_time(bound: float, fastest: float, most: float) -> float:

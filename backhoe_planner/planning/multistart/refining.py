@@ -6,7 +6,6 @@ or lower one part by what lifts another, and no small step leads there.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -137,11 +136,11 @@ class Refining:
         Every other hop moves all joints to the other sides: mostly one joint, to one side, decides what is gained.
         """
         rng, rate = np.random.default_rng(0), self._problem.limits.velocity
-        sides: Vector = np.ones(len(rate))
-        for number, most in zip(range(_HOPS), itertools.cycle(_ASIDE), strict=False):
-            sides = -sides if number % 2 else rng.choice((-1.0, 1.0), len(rate))
-            part = rng.uniform(_LEAST_ASIDE, 1.0, len(rate))
-            yield most * sides * part * rate / np.max(rate), np.exp(rng.uniform(-_SKEW, _SKEW, len(rate)))
+        for _ in range(_HOPS // len(_ASIDE)):
+            sides = rng.choice((-1.0, 1.0), len(rate))
+            for side, most in zip((sides, -sides), _ASIDE, strict=True):
+                part = rng.uniform(_LEAST_ASIDE, 1.0, len(rate))
+                yield most * side * part * rate / np.max(rate), np.exp(rng.uniform(-_SKEW, _SKEW, len(rate)))
 
     def _best(self) -> FoundMotion:
         assert self._descents.best is not None
