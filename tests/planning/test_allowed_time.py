@@ -22,6 +22,7 @@ from backhoe_planner.planning.goals.allowed_time import (
     fastest_with_room,
     has_room,
 )
+from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.goals.time_search import TimeSearch
 from backhoe_planner.planning.search.effort import EFFORTS, Work
 from backhoe_planner.planning.world.world import World
@@ -158,6 +159,33 @@ def test_a_motion_whose_samples_exceed_the_allowed_time_is_shortened(
     assert found is not None
     assert next(slower, None) is None
     assert 0.96 * longest < found.motion.duration <= longest
+
+
+@pytest.mark.parametrize(
+    ("start", "position", "longest"),
+    [
+        ([-0.88, 0.79, -0.98, -0.18], [1.53, -1.5, 0.69], 3.81),
+        ([-0.92, -0.03, -1.85, -1.68], [2.48, 1.81, -2.87], 3.59),
+    ],
+)
+def test_a_motion_that_costs_little_is_shortened_even_if_it_then_costs_far_more(
+    backhoe: bp.Robot, start: list[float], position: list[float], longest: float
+) -> None:
+    """To be in time costs a quarter more than to be 1 % late, and the extra cost of that is a tenth at first."""
+    joints = dict(zip(backhoe.joint_names, start, strict=True))
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": position}}, "objective": "work"}
+    problem = build_problem(backhoe, bp.scene_from_dict(content))
+    world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
+    ends = find_goal_postures(world, problem.goals, near=np.array(start), time=0.0)
+    assert isinstance(ends, GoalPostures)
+    found = descent_of_cost.DescentOfCost(
+        problem, world.proximity, world.kinematics, time=0.0, brake=world.work.brake
+    ).run(
+        JointCurve.straight(np.array(start), ends.clear[0], 12), longest, problem.goals[0],
+        Options(80, spare=0.003, density=1, box=0.25, longest=longest),
+    )  # fmt: skip
+    assert found.missed == 0.0
+    assert 0.98 * longest < found.motion.duration <= longest
 
 
 def swung(robot: bp.Robot, *obstacles: dict[str, Any], **keys: Any) -> bp.Plan:

@@ -56,11 +56,12 @@ _NOTHING = 1e-4
 # piece; chosen: the order of straight lines is the same as with twice as many
 _PLACES_OF_ESTIMATE, _PLACES_OF_LIMITS = 2, 1
 _NEXT_BOX = 0.1  # rad or m: largest box of the first step after a cost that jumps becomes less soft; chosen
-_LATE = 10.0  # extra cost, as a part of the cost, of a motion that takes twice as long as it may; chosen
+_LATE = 10.0  # extra cost, as a part of the cost, of a motion that takes twice as long as it may, at first; chosen
 # part of the longest time that a descent leaves unused: samples of a motion are slowed down by this if they exceed a
 # limit between the places at which steps keep it; chosen: mostly less is needed
 _TIME_SPARE = 1e-3
 _HURRIES = 3  # tries to shorten a motion that nevertheless takes too long; chosen
+_LATER = 4.0  # factor on the extra cost of being late in each of them: some motions save more than that; chosen
 _HURRY_ROUNDS = 6  # of each of them at most; chosen
 _SLOW = 2  # a descent ends after so many rounds in a row that gain too little; chosen
 _ENOUGH_BENT = 1e-3  # part of the cost: a smaller gain is too little; the cost keeps falling for long; chosen
@@ -79,17 +80,19 @@ class _Pricing:
     longest: the longest time that a motion may take [s].
     width: by which kinks of the cost's rate are rounded off, in its unit per second.
     nothing: a cost that counts as nothing, in its unit.
+    late: extra cost, as a part of the cost, of a motion that takes twice as long as it may.
     """
 
     own_time: OwnTime
     longest: float
     width: float = LEAST_WIDTH
     nothing: float = 0.0
+    late: float = _LATE
 
     def cost(self, curve: JointCurve, duration: float) -> float:
         """The cost of a curve in its own time, more if that is longer than allowed."""
         late = max(duration / self.longest - 1.0, 0.0)
-        return self.own_time.cost(curve, duration, width=self.width) * (1.0 + _LATE * late)
+        return self.own_time.cost(curve, duration, width=self.width) * (1.0 + self.late * late)
 
     def priced(self, here: Timed) -> Timed:
         """The same curve with its cost."""
@@ -103,7 +106,7 @@ class _Pricing:
         moving = slice(1, here.curve.pieces + (goal is not None))
         found = self.own_time.slope(here.curve, here.duration, moving, width=self.width)
         if here.duration > self.longest:
-            found.slope[-1] += _LATE * here.cost / self.longest
+            found.slope[-1] += self.late * here.cost / self.longest
         return found.slope / unit, found.curvature / unit, found.kinks.over(unit)
 
     def suitable_width(self, here: Timed) -> float:
@@ -125,12 +128,14 @@ class _Run:
     goal: on which the end may move.
     own_time: of its curves; not softened.
     times_missed: factor on the price of what a curve misses.
+    late: see `_Pricing`.
     curvature: learnt with a softer cost, in the objective's unit; None if none was.
     """
 
     goal: Goal
     own_time: OwnTime
     times_missed: float
+    late: float = _LATE
     curvature: Matrix | None = None
 
 
@@ -184,6 +189,7 @@ class DescentOfCost(Descent):
             if found.motion.duration <= longest or found.missed > KEPT_PART * options.spare:
                 break
             within *= (1.0 - _TIME_SPARE) * longest / found.motion.duration
+            run = replace(run, late=_LATER * run.late)
             found, run = self._down_softly(
                 found.curve, min(found.duration, within), flows[-1:], run, replace(hurrying, longest=within)
             )
@@ -214,7 +220,7 @@ class DescentOfCost(Descent):
         goal, times_missed = run.goal, run.times_missed
         free = goal if goal.q is None else None
         looks = self._looks(curve, options.spare, options.density, free)
-        exact = _Pricing(replace(run.own_time, soft_flow=flow), options.longest)
+        exact = _Pricing(replace(run.own_time, soft_flow=flow), options.longest, late=run.late)
         here = self._timed(self._within_cones(curve, looks), max(duration, SAMPLE_PERIOD), exact, looks)
         price, unit = times_missed * MISSED_WORTH * here.cost, max(here.cost, NO_COST)
         enough = _ENOUGH_ROUGH if options.rough else _ENOUGH_BENT
