@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain, repeat
@@ -97,7 +98,14 @@ def test_each_hop_is_from_beside_the_best_motion_so_far(
         assert np.all(np.max(np.abs(aside), axis=0) > 0.9 * 0.3 * most)  # 12 pieces are near the place that moves most
         sides.append(np.sign(aside[6]))
     np.testing.assert_array_equal(sides[1::2], -np.array(sides[::2]))
-    assert len(np.unique(sides, axis=0)) > 2
+    first = np.array(sides[:8])
+    for joints in itertools.combinations(range(4), 3):
+        assert len(np.unique(first[:, joints], axis=0)) == 8  # all combinations of their sides
+
+
+def test_two_of_five_joints_move_to_all_combinations_of_their_sides() -> None:
+    for joints in itertools.combinations(range(5), 2):
+        assert len(np.unique(refining._SIDES[:, joints], axis=0)) == 4
 
 
 @pytest.mark.parametrize("objective", ["effort", "hydraulic"])

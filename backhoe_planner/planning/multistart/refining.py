@@ -6,6 +6,7 @@ or lower one part by what lifts another, and no small step leads there.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -41,6 +42,12 @@ _HOPS, _DULL, _HOP_GAINS = 24, 8, 0.01
 # the least part of that. Measured on six sites where some hops gain 10 % and more: with parts from 0.3 on 27 of 100 do,
 # with all parts, up to 0.5 and 1 rad, 18
 _ASIDE, _LEAST_ASIDE = (0.7, 1.0), 0.3
+# (8, 5) the sides to which joints move in hops that follow each other: columns of a Hadamard matrix, as in designs of
+# experiments (Plackett and Burman 1946). Any two joints move to all four combinations of their sides, any three of the
+# first four to all eight, and these four move to the other sides in every other hop. On three of eight sites the sides
+# of two or three joints decided all gains. Hops gain 11 % in the mean over ten sites then, and 8 % with random sides
+_PAIR = np.array([[1.0, 1.0], [1.0, -1.0]])
+_SIDES = np.kron(_PAIR, np.kron(_PAIR, _PAIR))[np.ix_((0, 7, 1, 6, 2, 5, 3, 4), (1, 2, 4, 7, 3))]
 _SKEW = 0.5  # a joint moves aside most where a power of u, between e^-0.5 and e^0.5, is a half; chosen
 
 
@@ -57,7 +64,7 @@ class Refining:
     """
 
     def __init__(self, world: World, descents: CostDescents) -> None:
-        self._problem, self._work = world.problem, world.work
+        self._problem, self._work, self._seed = world.problem, world.work, world.seed
         self._much = _MUCH_GAIN_FRUGAL if is_frugal(world) else _MUCH_GAIN
         self._little, self._lift = little_cost(world), lift_of(world.problem)
         self._descents = descents
@@ -131,16 +138,14 @@ class Refining:
                 return
 
     def _sides(self) -> Iterator[tuple[Vector, Vector]]:
-        """(n,) how far each hop moves the joints aside, and (n,) their skews, see `JointCurve.moved_aside`.
-
-        Every other hop moves all joints to the other sides: mostly one joint, to one side, decides what is gained.
-        """
-        rng, rate = np.random.default_rng(0), self._problem.limits.velocity
-        for _ in range(_HOPS // len(_ASIDE)):
-            sides = rng.choice((-1.0, 1.0), len(rate))
-            for side, most in zip((sides, -sides), _ASIDE, strict=True):
+        """(n,) how far each hop moves the joints aside, and (n,) their skews, see `JointCurve.moved_aside`."""
+        rng, rate = np.random.default_rng(self._seed), self._problem.limits.velocity
+        for _ in range(_HOPS // len(_SIDES)):
+            signs = rng.choice((-1.0, 1.0), len(rate))
+            for sides, most in zip(_SIDES[:, : len(rate)], itertools.cycle(_ASIDE), strict=False):
                 part = rng.uniform(_LEAST_ASIDE, 1.0, len(rate))
-                yield most * side * part * rate / np.max(rate), np.exp(rng.uniform(-_SKEW, _SKEW, len(rate)))
+                aside = most * part * signs * sides * rate / np.max(rate)
+                yield aside, np.exp(rng.uniform(-_SKEW, _SKEW, len(rate)))
 
     def _best(self) -> FoundMotion:
         assert self._descents.best is not None
