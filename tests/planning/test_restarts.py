@@ -34,7 +34,7 @@ class Searches:
     def __init__(
         self, goal: Goal, found: list[tuple[float, float]], *, leads_round: bool = False, is_for_time: bool = False,
         rounds: int = 0, repeats: bool = False, refining_paid: bool = False, postures: int = 1,
-        allowed_time: float | None = 5.0,
+        allowed_time: float = 5.0,
     ) -> None:  # fmt: skip
         self.postures, self.allowed_time = postures, allowed_time
         self._repeats, self.refining_paid = repeats, refining_paid
@@ -79,7 +79,7 @@ class Searches:
 def way_of(
     robot: bp.Robot, objective: str, found: Iterator[tuple[float, float]], patch: Any, *,
     effort: Effort | None = None, leads_round: bool = False, rounds: int = 0, repeats: bool = False,
-    refining_paid: bool = False, postures: int = 1, allowed_time: float | None = 5.0,
+    refining_paid: bool = False, postures: int = 1, allowed_time: float = 5.0,
 ) -> tuple[str, Searches]:  # fmt: skip
     effort = effort or replace(EFFORTS["thorough"], begins_with="", restarts=3)
     world = World(build_problem(robot, scene(robot, objective)), seed=5, work=Work(effort))
@@ -203,17 +203,13 @@ def test_long_searches_for_least_work_are_repeated_until_one_gains_little(
     assert searches.freely == [False, True, False, True][: len(costs)]
 
 
-@pytest.mark.parametrize(("allowed", "freely"), [(5.0, [False, True, False]), (None, [False, False, False])])
-def test_no_search_begins_with_descents_in_infinite_time(
-    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, allowed: float | None, freely: list[bool]
+def test_every_other_further_search_begins_freely_and_all_keep_to_the_allowed_time(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """How long a motion may take is not known if no fast motion is proven clear."""
     found = iter([(10.0, DURATION), (12.0, DURATION), (9.9, DURATION)])
-    _, searches = way_of(
-        planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=90, allowed_time=allowed
-    )  # fmt: skip
-    assert searches.freely == freely
-    assert searches.longest == [math.inf, *[allowed or math.inf] * 2]
+    _, searches = way_of(planar4, "work", found, monkeypatch, effort=EFFORTS["normal"], rounds=90, allowed_time=5.0)
+    assert searches.freely == [False, True, False]
+    assert searches.longest == [math.inf, 5.0, 5.0]
 
 
 @pytest.mark.parametrize(

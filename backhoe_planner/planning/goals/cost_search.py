@@ -77,7 +77,7 @@ class CostSearch(MotionSearch):
         more = _MORE_FREELY if freely else _MORE_FOR_COST
         super().__init__(world, start, found, incumbent, time=time, more=more)
         self._freely = freely
-        self._goes_on = before is not None and before.allowed_time is not None
+        self._goes_on = before is not None
         self._begin_descents(None if before is None else before._descents)
         self._lift, self._little, self._is_frugal = lift_of(world.problem), little_cost(world), is_frugal(world)
         # what a search found on its way round obstacles depends on its random choices, not on where it began

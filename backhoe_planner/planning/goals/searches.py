@@ -124,13 +124,13 @@ def _search_cheapest(
     search = CostSearch(world, start, found, time=time)
     ended, best, allowed = search.run(), search.best, search.allowed_time
     looked_at, routes = search.looked_at, search.routes
-    longest = math.inf if allowed is None else allowed
     searches = () if ended or best is None else _further(search, world)
     # the costs of the first search with those that continue it, and of each search that was begun anew
     costs = [] if best is None else [best.cost]
     earlier: list[CostSearch] = []  # that have ended; of those that continue each other, the last
     for number, goes_on in enumerate(searches, start=1):
         assert best is not None
+        assert allowed is not None  # it is known as soon as there is a motion
         if not goes_on and not _may_find_less(costs, world, start, found):
             break
         again = _anew(world, number)
@@ -140,11 +140,11 @@ def _search_cheapest(
         before = search if goes_on else None
         earlier = earlier if goes_on else [*earlier, search]
         search = CostSearch(
-            again, start, postures, time=time, longest=longest, before=before, earlier=earlier,
-            freely=allowed is not None and len(earlier) % _KINDS == 1,
+            again, start, postures, time=time, longest=allowed, before=before, earlier=earlier,
+            freely=len(earlier) % _KINDS == 1,
         )  # fmt: skip
         ended, other = search.run(), search.best
-        cost = math.inf if other is None or other.motion.duration > longest else other.cost
+        cost = math.inf if other is None or other.motion.duration > allowed else other.cost
         if other is not None and cost < best.cost:
             best = other
             world.show(best.motion, attempt=number, best=best.cost)
