@@ -339,7 +339,9 @@ def test_counted_work_is_added_up_for_all_searches_of_a_brake() -> None:
     brake = Brake()
     first, second = Work(EFFORTS["normal"], brake), Work(EFFORTS["quick"], brake)
     first.motions -= 2_000
-    first.descent_rounds, first.way_rounds = first.descent_rounds + first.way_rounds - 70, 0
+    first.add_rounds("way_rounds")
+    assert (first.descent_rounds, first.way_rounds, first.done) == (160, 0, 1.0)
+    first.descent_rounds -= 70
     second.sweeps -= 50
     assert (first.done, second.done, brake.done) == pytest.approx((3.0, 1.0, 4.0))
     first.law_steps -= 500

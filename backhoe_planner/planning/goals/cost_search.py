@@ -255,7 +255,7 @@ class CostSearch(MotionSearch):
         work, longest = self._world.work, self.allowed_time
         if longest is None or not work.led_rounds:
             return
-        work.descent_rounds, work.led_rounds = work.descent_rounds + work.led_rounds, 0
+        work.add_rounds("led_rounds")
         (own, prices), ways = self._by_mass(), work.effort.ways_at_once
         which = self.ends.many_within(longest, most=LINES_FOR_ONE * ways, alike=own)
         for _ in range(_LED_AT_MOST):

@@ -154,7 +154,7 @@ class MotionSearch(ABC):
         """
         work, dull = self._world.work, 0
         turn = self._find_way(turn)
-        work.descent_rounds, work.way_rounds = work.descent_rounds + work.way_rounds, 0
+        work.add_rounds("way_rounds")
         while self.best is not None and dull < self._patience() and not self._is_optimal():
             if self._descents.rounds.left <= 0:
                 return

@@ -125,7 +125,7 @@ class Refining:
             return
         if not _HOPPED[0] * lift.little < self._best().cost <= _HOPPED[1] * lift.little:
             return
-        work.descent_rounds, work.hop_rounds = work.descent_rounds + work.hop_rounds, 0
+        work.add_rounds("hop_rounds")
         dull = 0
         for aside, skew in self._sides():
             best = self._best()

@@ -11,11 +11,12 @@ import time as clock
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, get_args
 
 from backhoe_planner.errors import InputError
 
 EffortName = Literal["quick", "normal", "thorough"]
+MoreRounds = Literal["way_rounds", "led_rounds", "hop_rounds"]
 
 # s: several times what plans take on one core, so that plans end by their counts
 DEFAULT_BUDGETS: Mapping[EffortName, float] = MappingProxyType({"quick": 60.0, "normal": 60.0, "thorough": 600.0})
@@ -275,6 +276,11 @@ class Work:
         self._withheld_steps = 0  # of the law: they were subtracted, but are not to be done
         self.brake.add(self)
 
+    def add_rounds(self, more: MoreRounds) -> None:
+        """Let descents use the additional rounds `more`, which are then no longer kept apart."""
+        self.descent_rounds += getattr(self, more)
+        setattr(self, more, 0)
+
     def leave_law_steps(self, most: int) -> None:
         """Leave at most so many steps of the law; those that are taken away do not count as done."""
         withheld = max(self.law_steps - most, 0)
@@ -285,12 +291,11 @@ class Work:
     def done(self) -> float:
         """What was subtracted so far, as the time that one core takes for it about [s]."""
         effort = self.effort
-        rounds = effort.descent_rounds + effort.way_rounds + effort.led_rounds + effort.hop_rounds
-        rounds -= self.descent_rounds + self.way_rounds + self.led_rounds + self.hop_rounds
-        done = {
+        rounds = ("descent_rounds", *get_args(MoreRounds))
+        done: dict[str, float] = {
             "motions": effort.motions - self.motions,
             "law_steps": effort.law_steps - self.law_steps - self._withheld_steps,
             "sweeps": effort.sweeps - self.sweeps,
-            "rounds": rounds,
+            "rounds": sum(getattr(effort, name) - getattr(self, name) for name in rounds),
         }
         return sum(count / _A_SECOND[name] for name, count in done.items())
