@@ -6,9 +6,10 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import get_args
 
 import backhoe_planner as bp
-from backhoe_planner import live, machine, motion, planning, site
+from backhoe_planner import live, machine, motion, planning, proof, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, print_verdict, table_of
 from backhoe_planner.digits import left_text, margin_text
 
@@ -171,16 +172,16 @@ def print_certificate(plan: bp.Plan) -> None:
     if not live.is_recording(plan):
         OUT.print(f"{'planned with':<13}{plan.settings}")
     _print_clearance_table(certificate)
-    for kind in ("position", "velocity", "acceleration"):
-        use = getattr(certificate, kind)
-        limit = "the way from the middle of its range to an end" if kind == "position" else "its limit"
-        OUT.print(f"{kind:<13}{use.percent:>5} % of {limit} at most ({use.joint}, {use.time:.2f} s{_of_leg(use.leg)})")
-    for kind, load in (("torque", certificate.effort), ("hydraulics", certificate.hydraulics)):
-        if load is not None:
-            where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
-            kept = f"; up to {100.0 * (1.0 + motion.DRIVE_TOLERANCE):.0f} % is kept" if load.ratio > 1.0 else ""
-            when = f"{load.time:.2f} s{_of_leg(load.leg)}"
-            OUT.print(f"{kind:<13}{load.percent:>5} % of its limit at most ({where}, {when}{kept})")
+    for name in get_args(proof.MachineLimit):
+        use = certificate.uses.get(name)
+        if use is not None:
+            kind = "torque" if name == "effort" else name
+            where = " ".join(part for part in (use.kind, use.joint) if part and part != kind)
+            limit = "the way from the middle of its range to an end" if name == "position" else "its limit"
+            most = f"{100.0 * use.most:.0f}"  # 100 where only rounding may exceed it
+            kept = f"; up to {most} % is kept" if use.ratio > 1.0 and most != "100" else ""
+            when = f"{use.time:.2f} s{_of_leg(use.leg)}"
+            OUT.print(f"{kind:<13}{use.percent:>5} % of {limit} at most ({where}, {when}{kept})")
     _print_legs(plan)
     _print_reactions(plan)
     print_recording(plan)

@@ -13,7 +13,9 @@ from .least_duration import least_duration as least_duration
 from .least_duration import least_duration_of_all as least_duration_of_all
 from .least_times import LeastTimes as LeastTimes
 from .least_work import least_work as least_work
+from .limits import LimitName as LimitName
 from .limits import LimitUse as LimitUse
+from .limits import MachineLimit as MachineLimit
 from .limits import describe_ratio as describe_ratio
 from .sequence import certify as certify
 from .sequence import certify_problem as certify_problem

@@ -6,6 +6,7 @@ It rests only on the URDF, the scene and the samples, not on how the motion was 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 
@@ -24,7 +25,15 @@ from backhoe_planner.motion import (
 )
 from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
 from backhoe_planner.proof.keeping import KeepUse, keep_uses
-from backhoe_planner.proof.limits import LimitUse, duration_use, machine_uses, position_use, tip_speed_use
+from backhoe_planner.proof.limits import (
+    LimitName,
+    LimitUse,
+    MachineLimit,
+    duration_use,
+    machine_uses,
+    position_use,
+    tip_speed_use,
+)
 from backhoe_planner.site import Obstruction, Proximity
 
 _STARTS_AT = 1e-5  # m and rad: the rounding of inverse kinematics is below this
@@ -121,12 +130,14 @@ class Certificate:
         return tuple(near for near in self.clearances if near.margin < -KEPT_WITHIN)
 
     @property
+    def uses(self) -> dict[LimitName, LimitUse]:
+        """The use of every limit that there is, by the name of its field: those of the machine, then of the task."""
+        return {name: use for name in get_args(LimitName) if (use := getattr(self, name)) is not None}
+
+    @property
     def limits_kept(self) -> bool:
         """Whether every limit of the machine holds."""
-        return all(
-            use is None or use.kept
-            for use in (self.position, self.velocity, self.acceleration, self.effort, self.hydraulics)
-        )
+        return all(use.kept for name, use in self.uses.items() if name in get_args(MachineLimit))
 
     @property
     def detours(self) -> tuple[Detour, ...]:

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import DRIVE_TOLERANCE, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
+
+MachineLimit = Literal["position", "velocity", "acceleration", "effort", "hydraulics"]
+# the fields of a certificate that are the use of a limit, in the order in which they are reported
+LimitName = Literal[MachineLimit, "tip_speed", "duration"]
 
 JOINTS_WITHIN = 1e-6  # part of a limit of the joints: rounding
 # part of the required speed; chosen for motions from other programs: plans are timed to within 0.1 %

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TypeVar
+from typing import Any, TypeVar, get_args
 
 from backhoe_planner.errors import check_kind
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import LegPart, Problem, Tracking, Trajectory, build_problem, leg_parts
 from backhoe_planner.proof.certificate import Certificate, LegCertificate, certify_motion
 from backhoe_planner.proof.keeping import KeepUse
-from backhoe_planner.proof.limits import LimitUse
+from backhoe_planner.proof.limits import LimitName, LimitUse
 from backhoe_planner.site import Obstruction, Scene
 
 _Use = TypeVar("_Use", LimitUse, KeepUse)
@@ -69,19 +69,11 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
                 clearances[key] = replace(found, time=found.time + leg.begins)
     problems = [f"leg {leg.name!r}: {problem}" for leg in legs for problem in leg.certificate.problems]
     problems += [f"the leg {name!r} is not begun" for name in missing]
-    position, velocity, acceleration = (_most(legs, key) for key in ("position", "velocity", "acceleration"))
-    assert position is not None
-    assert velocity is not None
-    assert acceleration is not None
+    uses: dict[str, Any] = {name: _most(legs, name) for name in get_args(LimitName)}
     return Certificate(
         tuple(sorted(clearances.values(), key=lambda found: found.margin)),
-        position=position,
-        velocity=velocity,
-        acceleration=acceleration,
-        effort=_most(legs, "effort"),
-        hydraulics=_most(legs, "hydraulics"),
+        **uses,
         tracking=_whole_tracking(legs, missing),
-        tip_speed=_most(legs, "tip_speed"),
         problems=tuple(problems),
         keep=tuple(
             replace(_later(use, leg), words=f"leg {leg.name!r}: {use.words}")
@@ -89,7 +81,6 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
             for use in leg.certificate.keep
         ),
         legs=legs,
-        duration=_most(legs, "duration"),
     )
 
 
@@ -98,15 +89,10 @@ def _later(found: _Use, leg: LegCertificate) -> _Use:
     return replace(found, time=found.time + leg.begins, leg=leg.name)
 
 
-def _most(legs: tuple[LegCertificate, ...], key: str) -> LimitUse | None:
+def _most(legs: tuple[LegCertificate, ...], limit: LimitName) -> LimitUse | None:
     """The greatest use of a limit over all legs; None if no leg has it."""
-    uses: list[tuple[LimitUse, LegCertificate]] = [
-        (use, leg) for leg in legs if (use := getattr(leg.certificate, key)) is not None
-    ]
-    if not uses:
-        return None
-    use, leg = max(uses, key=lambda one: one[0].ratio)
-    return _later(use, leg)
+    uses = [_later(use, leg) for leg in legs if (use := leg.certificate.uses.get(limit)) is not None]
+    return max(uses, key=lambda use: use.ratio, default=None)
 
 
 def _whole_tracking(legs: tuple[LegCertificate, ...], missing: tuple[str, ...]) -> Tracking:

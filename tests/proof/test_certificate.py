@@ -7,9 +7,9 @@ joint 1 past a ball at 4.3 m, a corner of its end is nearest.
 from __future__ import annotations
 
 import tracemalloc
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from machines import TURNING_SLIDE
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Trajectory, build_problem
-from backhoe_planner.proof import Certificate, certify, segment_is_clear
+from backhoe_planner.proof import Certificate, LimitName, certify, segment_is_clear
 from backhoe_planner.site import Obstruction
 from validation.signed_distances import box_distance
 
@@ -268,6 +268,12 @@ def test_exceeded_rates_are_reported_by_joint(planar4: bp.Robot, keys: Data, dur
     assert certificate.safe == certificate.verified == (not kinds)
     for kind in kinds:
         assert any("joint1" in problem and kind in problem for problem in certificate.problems)
+
+
+def test_every_use_of_a_limit_in_a_certificate_is_named() -> None:
+    """Legs, plan files and verdicts know a limit by its name."""
+    uses = {field.name for field in fields(Certificate) if "LimitUse" in str(field.type)}
+    assert uses == set(get_args(LimitName))
 
 
 def test_a_position_outside_the_limits_is_reported_with_joint_and_time(backhoe: bp.Robot) -> None:

@@ -171,8 +171,8 @@ class Plan:
             return ""
         if self.failure:
             return self.failure
-        asked = (self.certificate.tip_speed, self.certificate.duration, self.certificate.tracking.joint_step)
-        if not self.certificate.limits_kept or any(one is not None and not one.kept for one in asked):
+        step = self.certificate.tracking.joint_step
+        if not all(use.kept for use in self.certificate.uses.values()) or (step is not None and not step.kept):
             return "outside_limits"
         return "not_done" if self.certificate.safe else "blocked"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, StrictInt, ValidationError, model_serializer, model_validator
@@ -23,7 +23,7 @@ from backhoe_planner.planning.result.bound import Bound
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.result.metrics import Metrics
 from backhoe_planner.planning.search.effort import EffortName
-from backhoe_planner.proof import Certificate
+from backhoe_planner.proof import Certificate, LimitName
 from backhoe_planner.site import Finite, Moment, Obstruction
 
 Method = Literal["auto", "reactive", "optimal", "paper", "teleop"]
@@ -39,7 +39,6 @@ Reason = Literal[
     "not_done",
     "budget",
 ]
-LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed", "duration"]
 
 FORMAT: Literal["backhoe-planner/plan"] = "backhoe-planner/plan"
 VERSION: Literal[1] = 1
@@ -206,11 +205,10 @@ class CertificateRecord(Record):
         """The record of a certificate."""
         clearances = tuple(ClearanceRecord.of(found) for found in certificate.clearances)
         tracking = certificate.tracking
-        uses = {name: use for name in get_args(LimitName) if (use := getattr(certificate, name)) is not None}
         return cls(
             min_clearance=clearances[0] if clearances else None,
             clearances=clearances,
-            limits={name: UseRecord(**vars(use)) for name, use in uses.items()},
+            limits={name: UseRecord(**vars(use)) for name, use in certificate.uses.items()},
             tip_error={"max": tracking.max_error, "mean": tracking.mean_error, "max_angle": tracking.max_angle_error},
             path={"length": tracking.path_length, "followed": tracking.followed},
             detours=tracking.detours,

@@ -153,8 +153,7 @@ def _describe_unused_limits(problem: Problem, motion: Trajectory, certificate: C
     """
     if not problem.goals or problem.is_dynamic or motion.duration < _SHORT or not problem.objective.is_time:
         return ""
-    joints, drive = (certificate.velocity, certificate.acceleration), (certificate.effort, certificate.hydraulics)
-    used = max(use.ratio for use in (*joints, *drive, certificate.tip_speed) if use is not None)
+    used = max(use.ratio for name, use in certificate.uses.items() if name not in ("position", "duration"))
     return "" if used >= _BINDS else f"the motion uses at most {100.0 * used:.0f} % of any limit: it could be faster"
 
 
