@@ -40,7 +40,7 @@ from backhoe_planner.live.detours.rejoining import (
 )
 from backhoe_planner.live.detours.searches import Searches
 from backhoe_planner.live.detours.stop_ahead import pace_along, stop_before
-from backhoe_planner.live.detours.track_proof import Blockage, RestProof, TrackProof, prove_rest
+from backhoe_planner.live.detours.track_proof import Blockage, TrackProof
 from backhoe_planner.live.follower_state import FollowerState, FollowerStatus
 from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.left_out import LeftOut, left_out_text, part_left_out
@@ -134,7 +134,7 @@ class PlanFollower:
         self._set_keep(keep)
         self._asked_pace, self._gives_way = 1.0, False
         self._ramp = PaceRamp(servo.limits.acceleration, servo.dt)
-        self._proof = TrackProof(servo, plan, self._plan, self._track)
+        self._proof = TrackProof(servo, plan, self._plan, self._track, executor)
         self._enter_leg()
         self._steps = 0  # until it was done
         self._was_done = False
@@ -142,7 +142,7 @@ class PlanFollower:
         self._delay = Delay(servo)
         self._slowest = float(servo.limits.velocity.min())
         self._progress = Progress(self._slowest)
-        self._searches, self._proofs = Searches(executor), Searches(executor)
+        self._searches = Searches(executor)
         self._blockage: Blockage | None = None  # that a detour is searched for before the machine is held back by it
         self._ahead: DetourAhead | None = None
         self._ahead_from = -np.inf  # s: from then on the next detour may be searched ahead of the machine
@@ -164,7 +164,7 @@ class PlanFollower:
     def close(self) -> None:
         """End the searches. Later steps follow the plan, but no longer find detours around new obstacles."""
         self._searches.close()
-        self._proofs.close()
+        self._proof.close()
 
     @property
     def done(self) -> bool:
@@ -269,9 +269,7 @@ class PlanFollower:
             if servo.time > self._seen_at + _PATIENCE_CROSSING:
                 self._progress.waited = 0.0
             self._seen, self._seen_at = servo.revision, servo.time
-        query = self._proof.query(may_ask=not self._proofs.under_way, steady=self._is_steady)
-        if query is not None:
-            self._proofs.begin(servo.revision, servo.time, prove_rest, query)
+        self._proof.begin(steady=self._is_steady)
         self._take_proof()
         proven = servo.is_proven_along_unchecked(self._track)
         if proven and not self._was_proven and self._detour is None and np.abs(self._plan.q - servo.q).max() < _NEAR:
@@ -357,7 +355,7 @@ class PlanFollower:
         There it can go on along the track, if that is proven or being proven. Beside it, it would have to gather speed
         among obstacles and conditions that leave room for the plan alone.
         """
-        return self.servo.time < self._joins_until and (proven or self._proofs.under_way)
+        return self.servo.time < self._joins_until and (proven or self._proof.under_way)
 
     def _got_on(self) -> None:
         if self._holding:  # what was in the way has gone meanwhile
@@ -406,8 +404,7 @@ class PlanFollower:
             part = part_left_out(servo.robot, self._trajectory, self._plan.clock, found.rejoins_at)
             self._left_out += () if part is None else (part,)
             self._plan.clock = found.rejoins_at
-            self._proofs.drop()
-            self._proof.ask_again()
+            self._proof.begin_again()
             self._joins_until = servo.time + _JOINS
             self._progress = Progress(self._slowest)
         elif servo.revision != found.checked and not self._searches.under_way and servo.time > found.check_at:
@@ -443,15 +440,14 @@ class PlanFollower:
 
     def _take_proof(self) -> None:
         """Take the answer whether the rest of the plan is clear: go along it, or search a detour ahead."""
-        answer, servo = self._proofs.answer(self.servo.time), self.servo
-        if not isinstance(answer, RestProof):
+        proof = self._proof.answer()
+        if proof is None:
             return
-        holds = self._proof.take(answer, revision=self._proofs.revision)
-        if answer.blockage is None:
+        if proof.blockage is None:
             if self._ahead is not None:
                 self._resume()
-        elif holds and not servo.is_moving():
-            self._look_ahead(answer.blockage)
+        elif not self.servo.is_moving():
+            self._look_ahead(proof.blockage)
 
     def _look_ahead(self, blockage: Blockage) -> None:
         """Search a detour around a blockage from a place before it, if there is one on the present leg."""
@@ -465,7 +461,7 @@ class PlanFollower:
         if not blockage.ends or blockage.begins > self._ahead_motion().time[-1]:
             return
         if servo.time < self._ahead_from:
-            self._proof.ask_again()
+            self._proof.begin_again()
             return
         self._blockage = blockage
         approach = stop_before(plan, servo.limits, pace_along(plan, servo.v, servo.dt), blockage)

@@ -10,6 +10,7 @@ Between two steps the machine moves straight on, which takes it off a curve: tha
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
@@ -19,6 +20,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.live.detours.reference import Reference
+from backhoe_planner.live.detours.searches import Searches
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.track import Track
 from backhoe_planner.machine import Cluster, Piece, Robot, travel_bounds
@@ -115,21 +117,25 @@ def _blockage(proximity: Proximity, reference: Reference, time: Vector, begins: 
 
 
 class TrackProof:
-    """Says for which surroundings and load a plan's track is proven, in the track itself.
+    """Proves a plan's track, and says in the track itself for which surroundings and load it is proven.
 
     Parameters
     ----------
     servo: its surroundings and its load are those of the proof.
     plan: a plan, or a trajectory alone, of which nothing is proven.
     reference, track: of that plan.
+    executor: runs the proofs, see `Searches`.
 
     Attributes
     ----------
     slowed_by: why a verified plan is not proven for the machine, so that it may be late, in words; otherwise empty.
     """
 
-    def __init__(self, servo: Servo, plan: Plan | Trajectory, reference: Reference, track: Track) -> None:
+    def __init__(
+        self, servo: Servo, plan: Plan | Trajectory, reference: Reference, track: Track, executor: Executor | None
+    ) -> None:
         self._servo, self._track, self._reference = servo, track, reference
+        self._proofs = Searches(executor)
         proven = isinstance(plan, Plan) and _is_proven(plan, reference, servo.dt)
         self._plan = plan if isinstance(plan, Plan) and proven else None
         self.slowed_by = ""
@@ -148,47 +154,61 @@ class TrackProof:
         self._leg = leg
         self._look_again()
 
-    def query(self, *, may_ask: bool, steady: bool) -> RestQuery | None:
-        """What is to be proven now, because the surroundings have changed; None if nothing is.
+    @property
+    def under_way(self) -> bool:
+        """Whether a proof is under way."""
+        return self._proofs.under_way
+
+    def begin(self, *, steady: bool) -> None:
+        """Begin a proof if the surroundings have changed, and none is under way.
 
         If all that is there now is the plan's own, nothing is to be proven: then the track counts as proven at once.
 
         Parameters
         ----------
-        may_ask: whether a query can be answered; otherwise it is put off.
         steady: whether nothing has changed for a while. While obstacles that move are steered, nothing is proven.
         """
         servo, plan = self._servo, self._plan
         revision = servo.revision
         if plan is None or revision in (self._track.revision, self._asked) or (servo.is_moving() and not steady):
-            return None
+            return
         if servo.time < self._again_at or not self._carries_the_same():
-            return None
+            return
         self._again_at = servo.time + _BREAK
         new = self._new_obstacles()
         if not new:
             self._prove(revision)
-            return None
-        if not may_ask:
-            return None
+            return
+        if self._proofs.under_way:
+            return
         self._asked = revision
         legs = [(leg.problem.robot, leg.begins + leg.trajectory.time) for leg in plan.legs]
         legs = legs or [(plan.problem.robot, plan.trajectory.time)]
-        return RestQuery(copy(self._reference), tuple(legs), new, servo.dt)
+        query = RestQuery(copy(self._reference), tuple(legs), new, servo.dt)
+        self._proofs.begin(revision, servo.time, prove_rest, query)
 
-    def take(self, answer: RestProof, *, revision: int) -> bool:
-        """Take the answer to a query that was asked at a `revision` of the surroundings; return whether it still holds.
+    def answer(self) -> RestProof | None:
+        """The answer that has come now, if any.
 
-        It does not if the surroundings have changed since, or a leg began.
+        A blockage counts only if the surroundings are those of the proof, and no leg began since; only then does the
+        track count as proven, too.
         """
-        holds = revision == self._servo.revision == self._asked and self._carries_the_same()
+        servo, answer = self._servo, self._proofs.answer(self._servo.time)
+        if not isinstance(answer, RestProof):
+            return None
+        holds = self._proofs.revision == servo.revision == self._asked and self._carries_the_same()
         if holds and answer.blockage is None:
-            self._prove(revision)
-        return holds
+            self._prove(servo.revision)
+        return answer if holds or answer.blockage is None else None
 
-    def ask_again(self) -> None:
-        """Note that the last query will not be answered, so that it is asked once more."""
+    def begin_again(self) -> None:
+        """Note that the last proof is of no use, so that another one begins."""
+        self._proofs.drop()
         self._asked = -1
+
+    def close(self) -> None:
+        """End the proofs; see `Searches.close`."""
+        self._proofs.close()
 
     def _prove(self, revision: int) -> None:
         self._track.revision, self._track.carried = revision, self._servo.robot.carried
