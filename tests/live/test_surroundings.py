@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.live import Separation, Servo
+from backhoe_planner.live import Separation, Servo, shifted
 from backhoe_planner.machine import Robot
+from backhoe_planner.site import Obstacle, Proximity, build_obstacle, obstacle_from_dict
+from backhoe_planner.site.schema import obstacle_shapes
 
 BALL = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [4.7, 1.6, -0.6]}
+
+SHAPES: dict[str, dict[str, Any]] = {
+    "sphere": {"radius": 0.3, "position": [4.7, 1.6, -0.6]},
+    "box": {"size": [0.4, 0.5, 0.6]},  # at the origin
+    "cylinder": {"radius": 0.2, "length": 1.0, "position": [5.0, 0.0, 0.0], "rpy": [0.3, 0.0, 0.0]},
+    "capsule": {"from": [4.0, -1.0, 0.0], "to": [4.0, 1.0, 0.4], "radius": 0.1},
+    "halfspace": {"point": [0.0, 0.0, -3.0], "normal": [0.1, 0.0, 1.0]},
+    "mesh": {"file": "peak.obj", "position": [5.0, 1.0, -2.0]},
+    "heightmap": {"file": "ground.csv", "size": [3.0, 2.0], "position": [4.0, 0.0, -3.0]},
+    "pointcloud": {"file": "scan.csv", "resolution": 0.1, "position": [5.0, 0.0, 0.0], "rpy": [0.0, 0.0, 0.5]},
+}
 
 
 @pytest.fixture
@@ -182,3 +196,23 @@ def test_records_stay_consistent_while_obstacles_come_move_and_go(servo: Servo, 
         bounds = servo._bounds
         for array in (bounds._proven, bounds._distance, bounds.required, bounds._renewed_at, bounds._reach):
             assert len(array) == len(servo._separation)
+
+
+@pytest.mark.parametrize("shape", obstacle_shapes.shape_records())
+def test_an_obstacle_of_a_moved_record_is_where_the_built_one_is_shifted_to(
+    servo: Servo, tmp_path: Path, shape: str
+) -> None:
+    (tmp_path / "peak.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    (tmp_path / "ground.csv").write_text("0,0.5\n0.2,0\n")
+    (tmp_path / "scan.csv").write_text("x,y,z\n0,0,0\n0.3,0.2,0.1\n")
+    spec, by = obstacle_from_dict({"name": "thing", "shape": shape, **SHAPES[shape]}), np.array([-0.7, 0.4, 0.2])
+
+    def built(spec: obstacle_shapes.ObstacleSpec) -> Obstacle:
+        return build_obstacle(spec, folder=tmp_path, clearance=0.0)
+
+    moved, expected, still = (
+        Proximity(servo.robot, [one], self_collision=False).distances(servo.q)
+        for one in (built(spec.moved(by)), shifted(built(spec), by), built(spec))
+    )
+    np.testing.assert_allclose(moved, expected, atol=1e-9)
+    assert np.abs(moved - still).max() > 0.01

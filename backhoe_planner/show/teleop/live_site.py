@@ -186,13 +186,12 @@ class LiveSite:
             obstacle = standing.obstacle
             if obstacle.zone is not None:  # it stays, and the scene's zones contain it
                 continue
-            content = obstacle.spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
-            appears = max(obstacle.appears_at, standing.since)
+            spec, appears = obstacle.spec, max(obstacle.appears_at, standing.since)
             shift = self.shift_of(name)
             if shift is not None:
                 # back to its place when the recording began, or when it came to its present place
-                shift = shift - obstacle.velocity * (self._servo.time - max(appears, begun))
-                _displace(content, shift)
+                spec = spec.moved(shift - obstacle.velocity * (self._servo.time - max(appears, begun)))
+            content = spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
             content["appears_at"] = max(appears - begun, 0.0)
             records.append(content)
             if standing.since > begun and standing.moved:
@@ -240,12 +239,3 @@ class LiveSite:
         if self._stays(name):
             what = "ground or terrain" if self._standing[name].obstacle.zone is None else "a zone"
             raise InputError(f"is {what} of the scene, which stays where it is", key=name)
-
-
-def _displace(record: dict[str, Any], shift: Vector) -> None:
-    """Move an obstacle's record by `shift` (3,) [m], in place."""
-    if not shift.any():
-        return
-    keys = {"capsule": ("from", "to"), "halfspace": ("point",)}.get(record["shape"], ("position",))
-    for key in keys:
-        record[key] = (np.array(record.get(key, [0.0, 0.0, 0.0])) + shift).tolist()

@@ -199,8 +199,7 @@ def _check(spec: Droppable) -> None:
         if not _SMALLEST <= value <= _FARTHEST:
             allowed = f"{_SMALLEST:g} to {_FARTHEST:g} m"
             raise InputError("is not the size of an obstacle", key=f"obstacle.{key}", found=value, allowed=allowed)
-    at = (*spec.start, *spec.end) if isinstance(spec, obstacle_shapes.Capsule) else spec.position
-    if max(map(abs, at)) > _FARTHEST:
+    if max(abs(number) for key in spec.points for number in getattr(spec, key)) > _FARTHEST:
         raise InputError("is too far away", key="obstacle", allowed=f"up to {_FARTHEST:g} m")
 
 

@@ -48,6 +48,8 @@ from backhoe_planner.site.schema.quantities import (
 )
 
 if TYPE_CHECKING:
+    from typing import Self
+
     import trimesh
 
 _TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up; chosen, about what a bucket's teeth leave behind
@@ -69,6 +71,8 @@ class ObstacleRecord(Record):
 
     is_land: ClassVar[bool] = False
     """Whether it is the site itself, unbounded or surveyed: nothing carries it, and nobody moves it by hand."""
+    points: ClassVar[tuple[str, ...]]
+    """The fields that say where it is [m]: with these it moves."""
 
     name: Name
     """Unique; appears in reports and in the viewer."""
@@ -100,9 +104,17 @@ class ObstacleRecord(Record):
         """The pieces, or one cluster if there would be more than a few and the obstacle does not move."""
         return self.pieces(folder)
 
+    def moved(self, shift: Vector) -> Self:
+        """The same obstacle, moved by `shift` (3,) [m]."""
+        if not shift.any():
+            return self
+        return self.model_copy(update={key: tuple((getattr(self, key) + shift).tolist()) for key in self.points})
+
 
 class PlacedRecord(ObstacleRecord):
     """An obstacle with a position and an orientation."""
+
+    points = ("position",)
 
     position: Vector3 = (0.0, 0.0, 0.0)
     """Position of the shape's centre or, for a file, of its origin [m]."""
@@ -176,6 +188,8 @@ class Cylinder(PlacedRecord):
 class Capsule(ObstacleRecord):
     """All points within `radius` of the segment from `from` to `to`."""
 
+    points = ("start", "end")
+
     shape: Literal["capsule"]
     start: Vector3 = Field(alias="from")
     """One end of the axis [m]."""
@@ -199,6 +213,7 @@ class HalfSpace(ObstacleRecord):
     """Everything behind a plane: solid where (x - point) . normal < 0."""
 
     is_land = True
+    points = ("point",)
 
     shape: Literal["halfspace"]
     point: Vector3
