@@ -15,7 +15,6 @@ import typer
 import backhoe_planner as bp
 from backhoe_planner import machine, show, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf, print_warnings, table_of
-from backhoe_planner.files.output_file import check_ending, check_writable
 
 _SCHEMAS: dict[str, Callable[[], dict[str, Any]]] = {
     "scene": lambda: bp.scene_schema(),  # each loads its part of the package only when called
@@ -45,8 +44,7 @@ def inspect(
     cylinders; with a scene, also where its obstacles and zones are.
     """
     if plot is not None:
-        check_ending(plot, show.FIGURE_FORMATS, what="a figure")
-        check_writable(plot)
+        show.check_figure(plot)
     loaded = None if scene is None else bp.load_scene(scene)
     robot, limits = _machine(urdf, loaded, tip)
     print_warnings(site.input_warnings(robot, loaded, with_task=False))

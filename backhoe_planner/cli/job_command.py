@@ -17,7 +17,7 @@ from backhoe_planner import job as jobs
 from backhoe_planner import show, site
 from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED, print_verdict, print_warnings
 from backhoe_planner.digits import margin_text
-from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
+from backhoe_planner.files.output_file import check_apart, check_record
 
 _WHOLE = 0.999  # part of a column of the ground that is within the design: all of it, apart from rounding
 JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="A job file (YAML).", show_default=False)]
@@ -58,8 +58,7 @@ def job(
     inputs = (*loaded.files, *(() if from_terrain is None else (from_terrain,)))
     check_record(output, inputs)
     if html is not None:
-        check_output(html, inputs)
-        check_ending(html, show.PAGE_FORMATS, what="a page")
+        show.check_page(html, inputs)
     print_job_warnings(loaded)
     terrain = None
     if from_terrain is not None:

@@ -16,7 +16,7 @@ from backhoe_planner import job, live, motion, planning, show, site
 from backhoe_planner.cli.job_command import check_job, draw_job_page, read_job_plan
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
-from backhoe_planner.files.output_file import check_apart, check_ending, check_output, check_record
+from backhoe_planner.files.output_file import check_apart, check_output, check_record
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -58,8 +58,7 @@ def plan(
     inputs = (*robot.files, *loaded.files)
     check_record(output, inputs)
     if html is not None:
-        check_output(html, inputs)
-        check_ending(html, show.PAGE_FORMATS, what="a page")
+        show.check_page(html, inputs)
     print_warnings(site.input_warnings(robot, loaded))
     compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
     with show.Viewer() if view else contextlib.nullcontext() as viewer:

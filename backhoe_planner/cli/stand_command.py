@@ -16,7 +16,7 @@ import backhoe_planner as bp
 from backhoe_planner import show, standing
 from backhoe_planner.cli.job_command import JobFile, print_job_warnings
 from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED, print_verdict
-from backhoe_planner.files.output_file import check_apart, check_ending, check_output
+from backhoe_planner.files.output_file import check_apart
 
 _LITTLE = 0.02  # part of the cost by which estimates and searches differ anyway; chosen
 
@@ -53,11 +53,9 @@ def stand(
     loaded = bp.load_job(file)
     standing.check_stand_outputs(output, loaded)
     if html is not None:
-        check_output(html, loaded.files)
-        check_ending(html, show.PAGE_FORMATS, what="a page")
+        show.check_page(html, loaded.files)
     if plot is not None:
-        check_output(plot, loaded.files)
-        check_ending(plot, show.FIGURE_FORMATS, what="a figure")
+        show.check_figure(plot, loaded.files)
     print_job_warnings(loaded)
     with _progress(as_json) as told:
         found = bp.stand(loaded, count=count, effort=effort, seed=seed, watch=told)

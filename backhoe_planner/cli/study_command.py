@@ -14,7 +14,6 @@ import typer
 import backhoe_planner as bp
 from backhoe_planner import show, studies
 from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED
-from backhoe_planner.files.output_file import check_ending, check_output
 
 StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="A study file (YAML).", show_default=False)]
 
@@ -40,8 +39,7 @@ def study(
     """
     loaded = bp.load_study(file)
     if html is not None:
-        check_ending(html, show.PAGE_FORMATS, what="a page")
-        check_output(html, (file,))
+        show.check_page(html, (file,))
     with _progress(shown=ERR.is_terminal and not as_json) as watch:
         found = studies.run_study(loaded, output, scheduler=scheduler, jobs=jobs, anew=anew, watch=watch)
     page = html if html is not None else output / studies.PAGE

@@ -25,11 +25,11 @@ from .drawing.timeline import ITSELF as ITSELF
 from .drawing.timeline import timeline as timeline
 from .job.job_page import write_job_page as write_job_page
 from .page.display import Display as Display
-from .page.page import PAGE_FORMATS as PAGE_FORMATS
+from .page.page import check_page as check_page
 from .page.page import plan_page as plan_page
 from .page.page import write_page as write_page
 from .plots.envelope_plot import plot_envelope as plot_envelope
-from .plots.figure_file import FIGURE_FORMATS as FIGURE_FORMATS
+from .plots.figure_file import check_figure as check_figure
 from .plots.leg_names import label_rows as label_rows
 from .plots.plots import plot_plan as plot_plan
 from .standing.stand_page import write_stand_page as write_stand_page

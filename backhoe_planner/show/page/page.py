@@ -20,7 +20,7 @@ from backhoe_planner.planning import Plan
 from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.page_content import show_plan
 
-PAGE_FORMATS = (".html", ".htm")
+_FORMATS = (".html", ".htm")
 
 # nothing may be fetched from anywhere; meshcat reads its own commands with eval
 _POLICY = (
@@ -63,12 +63,17 @@ def write_page_file(
     OutputError: the name ends in neither .html nor .htm, the folder does not exist or cannot be written, or the
         file is one of `inputs`.
     """
-    check_output(path, inputs)
-    check_ending(path, PAGE_FORMATS, what="a page")
+    check_page(path, inputs)
     page, warnings = make()
     with whole_file(path) as stream:
         stream.write(page)
     return warnings
+
+
+def check_page(path: str | os.PathLike[str], inputs: Sequence[Path]) -> None:
+    """Check that a page can be written to a file; see `write_page_file`."""
+    check_output(path, inputs)
+    check_ending(path, _FORMATS, what="a page")
 
 
 def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FIGURE_FORMATS = (".png", ".svg", ".pdf")
+_FORMATS = (".png", ".svg", ".pdf")
 _RESOLUTION = 150  # dots per inch; chosen, text of 8 points is readable on a screen
 
 
@@ -28,12 +29,17 @@ def new_figure(path: str | os.PathLike[str], width: float, height: float, *, inp
     OutputError: the suffix is not .png, .svg or .pdf, the folder cannot be written, or the file is one of `inputs`.
     InputError: matplotlib is not installed.
     """
-    check_ending(path, FIGURE_FORMATS, what="a figure")
-    check_output(path, inputs)
+    check_figure(path, inputs)
     need_package("matplotlib", extra="plots", what="figures")
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def check_figure(path: str | os.PathLike[str], inputs: Sequence[Path] = ()) -> None:
+    """Check that a figure can be written to a file; see `new_figure`."""
+    check_ending(path, _FORMATS, what="a figure")
+    check_output(path, inputs)
 
 
 def dress(axes: Axes) -> None:
