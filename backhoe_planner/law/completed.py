@@ -105,7 +105,7 @@ def push_factor(distance: Vector, unity: float) -> Vector:
 
 
 class CompletedLaw:
-    """The law for one machine.
+    """The completed law for one machine; see the module's text.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ JointTable: TypeAlias = tuple[tuple[float, ...], ...]
 
 
 class Kept(NamedTuple):
-    """Conditions to be kept besides clearances, such as a band of the pitch.
+    """What the shield needs of the conditions of a `Keep` at one configuration.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Shielded(NamedTuple):
 
 
 class Shield:
-    """The filter for one machine's limits at one time step.
+    """The filter that turns wished joint velocities into safe ones, for the joint limits of one machine.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ StandReason = Literal["", "unreachable", "blocked", "not_done"]
 
 @dataclass(frozen=True, eq=False)
 class RankedPlace:
-    """A place that was compared.
+    """A place that was compared with others for a `StandPlan`, with its cost as far as it was determined.
 
     Attributes
     ----------

@@ -41,7 +41,7 @@ _WORDS = {
 
 @dataclass(frozen=True, eq=False)
 class Spot:
-    """A place that was evaluated.
+    """A place on a `SiteMap`, with its approximate cost, or why the machine cannot stand there.
 
     Attributes
     ----------

@@ -16,7 +16,7 @@ CLOSER_LOOK = 4  # distances for one pair with a plane for each part of its path
 
 
 class StepWork(NamedTuple):
-    """The counted work of a step.
+    """The counted work of one step of a servo.
 
     Attributes
     ----------

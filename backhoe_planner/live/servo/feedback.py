@@ -102,7 +102,7 @@ def refused_part(wish: Vector, difference: Vector) -> Vector:
 
 
 class Feedback:
-    """The force on one hand.
+    """The force on the hand at one control, which shows what the servo refuses.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ _SETTLED = 6  # if no attempt arrives, this many of the best are refined to the 
 
 @dataclass(frozen=True)
 class InverseKinematics:
-    """The result of a search.
+    """The configuration that `solve_inverse_kinematics` found, and how near to the target it is.
 
     Attributes
     ----------
