@@ -34,7 +34,7 @@ def main() -> None:
         plan = bp.stand(job, count=given.count, effort=given.effort)
         if given.output is not None:
             plan.save(given.output / f"{file.stem}.json")
-        unit, scale = ("s/m^3", 1.0) if job.objective == "time" else ("kJ/m^3", 1e-3)
+        unit, scale = job.cost_unit
         print(f"{file.stem}: {plan.verdict} {plan.reason} {plan.note}")
         print(f"  x [m]   y [m]  heading  map     estimated  planned  [{unit}]  bank [m^3]")
         for one in plan.ranking:

@@ -164,18 +164,17 @@ def print_patterns(plan: bp.JobPlan) -> None:
     """Print which patterns of cuts were compared; nothing if the pattern was prescribed."""
     if len(plan.compared) < 2:
         return
-    unit = "s/m^3" if plan.job.objective == "time" else "kJ/m^3"
+    unit, scale = plan.job.cost_unit
     OUT.print(f"{'compared, by estimates':<38}  cycles  bank [m^3]  time [s]  work [kJ]  {unit:>8}  remark")
     chosen = next(one for one in plan.compared if one.chosen)
     for one in plan.compared:
-        cost = one.cost if plan.job.objective == "time" else one.cost / 1e3
         mark = ", ".join(["chosen"] * one.chosen + ["leaves some"] * (not one.finished))
         if one.finished and not one.chosen and abs(one.cost / chosen.cost - 1.0) <= jobs.CLOSE:
             more = 100.0 * (one.cost / chosen.cost - 1.0)
             mark = f"{abs(more):.1f} % {'more' if more > 0.0 else 'less'}: too close to tell"
         OUT.print(
             f"{one.name:<38}  {one.cycles:6d}  {one.bank:10.2f}  {one.duration:8.0f}  {one.work / 1e3:9.0f}  "
-            f"{cost:8.1f}  {mark}".rstrip()
+            f"{scale * one.cost:8.1f}  {mark}".rstrip()
         )
 
 

@@ -102,7 +102,7 @@ def print_stand(plan: bp.StandPlan, output: Path) -> None:
     print_verdict("" if plan.verified else f"failed: {plan.reason}")
     if plan.note:
         OUT.print(f"  {plan.note}")
-    unit, scale = ("s/m^3", 1.0) if plan.job.objective == "time" else ("kJ/m^3", 1e-3)
+    unit, scale = plan.job.cost_unit
     _print_ranking(plan, unit, scale)
     if plan.places:
         OUT.print(f"place   x [m]   y [m]  heading [deg]  cycles  bank [m^3]  time [s]  {unit:>7}  section, travel")

@@ -76,8 +76,7 @@ def estimate_pattern(work: CheckedJob, pattern: Pattern) -> PatternEstimate:
         at, state = opened, after
         bank += float(sweep.bank[-1])
         cycles += 1
-    per = duration if site.job.objective == "time" else energy
-    cost = per / bank if bank > 0.0 else float("inf")
+    cost = site.job.objective_of(duration, energy) / bank if bank > 0.0 else float("inf")
     return PatternEstimate(pattern.name, cycles, bank, duration, energy, cost, finished)
 
 

@@ -139,7 +139,7 @@ class StandPlan:
     def cost(self) -> float:
         """The objective per bank m^3 [s/m^3 or J/m^3], without the exchange of trucks and the machine's own travel."""
         waits = sum(place.plan.waits for place in self.places)
-        total = self.duration - waits if self.job.objective == "time" else self.work
+        total = self.job.objective_of(self.duration - waits, self.work)
         return total / self.bank if self.bank > 0.0 else math.nan
 
     @property

@@ -184,8 +184,7 @@ class SpotFinder:
         x, y = dump.place - axis
         bearing = math.atan2(y, x)
         turn = (angle - bearing + np.pi) % (2.0 * np.pi) - np.pi
-        time, work = self.reach.cycle(r, turn, dump.table, math.hypot(x, y))
-        return (time if self._job.objective == "time" else work), bearing
+        return self._job.objective_of(*self.reach.cycle(r, turn, dump.table, math.hypot(x, y))), bearing
 
     def _stands(self, base: Base, dumps: Sequence[int], keep_off: Matrix | None) -> tuple[str, str, tuple[int, ...]]:
         """Why the machine cannot stand at a base, with the obstacle's name; and the dumps that it is clear of."""

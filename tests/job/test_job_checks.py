@@ -89,6 +89,15 @@ def test_a_design_surface_out_of_reach_is_refused(tmp_path: Path) -> None:
     assert refused.value.key == "dig.surface"
 
 
+@pytest.mark.parametrize(("objective", "shown", "unit"), [("time", 60.0, "s/m^3"), ("work", 12.0, "kJ/m^3")])
+def test_the_cost_of_a_job_is_that_of_its_objective(objective: str, shown: float, unit: str) -> None:
+    """30 s and 6 kJ for half a cubic metre."""
+    job = small_job(objective=objective)
+    name, scale = job.cost_unit
+    assert name == unit
+    assert scale * job.objective_of(30.0, 6e3) / 0.5 == pytest.approx(shown)
+
+
 def test_a_pattern_that_digs_much_less_than_another_is_not_chosen() -> None:
     def estimate(name: str, bank: float, cost: float) -> PatternEstimate:
         return PatternEstimate(name, 3, bank, 1.0, 1.0, cost, True)

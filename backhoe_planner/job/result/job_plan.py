@@ -215,7 +215,7 @@ class JobPlan:
     @property
     def cost(self) -> float:
         """The objective per bank m^3 [s/m^3 or J/m^3]."""
-        digging = self.duration - self.waits if self.job.objective == "time" else self.work
+        digging = self.job.objective_of(self.duration - self.waits, self.work)
         return digging / self.bank if self.bank > 0.0 else float("nan")
 
     @property

@@ -6,10 +6,11 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, PrivateAttr
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import SceneError, check_path
 from backhoe_planner.files.file_record import FileRecord
 from backhoe_planner.files.numbers import number
@@ -17,6 +18,8 @@ from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.job.schema.work import BucketSize, Dig, Dump, Ground, JobSoil, PatternChoice
 from backhoe_planner.machine import shipped_file
 from backhoe_planner.site import Scene, Title, load_scene, scene_from_dict, scene_schema
+
+_Amount = TypeVar("_Amount", float, Vector)
 
 SITE_KEYS = ("base", "tip", "hold", "clearance", "influence", "obstacles", "zones", "limits", "tracking")
 
@@ -62,6 +65,15 @@ class Job(FileRecord):
         """The site as a scene; its task and start are not used."""
         assert self._site is not None
         return self._site
+
+    def objective_of(self, duration: _Amount, work: _Amount) -> _Amount:
+        """What the job minimises, of a duration [s] and a work [J]."""
+        return duration if self.objective == "time" else work
+
+    @property
+    def cost_unit(self) -> tuple[str, float]:
+        """The unit in which costs are shown, and the factor that converts costs [s/m^3 or J/m^3] to it."""
+        return ("s/m^3", 1.0) if self.objective == "time" else ("kJ/m^3", 1e-3)
 
     def scene_dict(self) -> dict[str, Any]:
         """A scene of this site as plain data, without start and task."""

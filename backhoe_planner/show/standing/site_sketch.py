@@ -119,10 +119,10 @@ def sketch_of(plan: StandPlan) -> Sketch:
     low, high = every.min(axis=0) - 0.7, every.max(axis=0) + 0.7
     costs = np.sort(np.array([cell.spot.cost for cell in cells if np.isfinite(cell.spot.cost)]))
     limits = (float(costs[0]), float(costs[int(_DEAREST * (len(costs) - 1))])) if len(costs) else (0.0, 1.0)
-    time = plan.job.objective == "time"
+    unit, scale = plan.job.cost_unit
     return Sketch(
         cells, digs, _outlines_of(obstacles), _things(plan, obstacles), heaps, machines, own, low, high, limits,
-        "s/m³" if time else "kJ/m³", 1.0 if time else 1e-3,
+        unit.replace("^3", "³"), scale,
     )  # fmt: skip
 
 
