@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,12 +26,18 @@ def best_spots(found: SiteMap, count: int) -> list[Spot]:
     """The cheapest places of a map among those that reach the most soil, some distance apart from each other."""
     every = [spot for row in found.spots for spot in row if math.isfinite(spot.cost)]
     most = max((spot.share for spot in every), default=0.0)
+    cheapest = sorted((one for one in every if one.share >= most - SAME_SHARE), key=lambda one: one.cost)
+    return first_apart(cheapest, count, distance=_APART)
+
+
+def first_apart(spots: Iterable[Spot], count: int, *, distance: float) -> list[Spot]:
+    """The first `count` of `spots` that are at least a `distance` [m] apart from each other."""
     kept: list[Spot] = []
-    for spot in sorted((one for one in every if one.share >= most - SAME_SHARE), key=lambda one: one.cost):
-        if all(math.dist(spot.base.position, other.base.position) >= _APART for other in kept):
-            kept.append(spot)
+    for spot in spots:
         if len(kept) == count:
             break
+        if all(math.dist(spot.base.position, other.base.position) >= distance for other in kept):
+            kept.append(spot)
     return kept
 
 

@@ -7,7 +7,7 @@ open. The near end of a section is left as a slope, which belongs to the next se
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.job import LEAVE, Job, Terrain, Trench, build_worksite, plan_job
 from backhoe_planner.standing.dig_area import EDGE, dig_area
 from backhoe_planner.standing.moved_job import job_with
-from backhoe_planner.standing.one_place import reaches_machine
+from backhoe_planner.standing.one_place import first_apart, reaches_machine
 from backhoe_planner.standing.result import Place, StandReason
 from backhoe_planner.standing.site_map import LINE_STEP, SAME_SHARE, Spot, SpotFinder
 
@@ -239,7 +239,7 @@ def _dig(
     number, ground, terrain = at
     best: Place | None = None
     why = ""
-    for spot in _apart(section.spots, _TRIES):
+    for spot in first_apart(section.spots, _TRIES, distance=_APART):
         heaps = None
         if job.dump.heap is not None:
             heaps = [finder.dumps[index].place.tolist() for index in spot.dumps]
@@ -260,12 +260,3 @@ def _dig(
         if best is None or plan.bank > best.plan.bank:
             best = place
     return why if best is None else best
-
-
-def _apart(spots: Sequence[Spot], count: int) -> list[Spot]:
-    """The first `count` of `spots` that are some distance apart from each other."""
-    kept: list[Spot] = []
-    for spot in spots:
-        if all(math.dist(spot.base.position, other.base.position) >= _APART for other in kept):
-            kept.append(spot)
-    return kept[:count]
