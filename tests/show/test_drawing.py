@@ -192,6 +192,8 @@ def test_a_box_hides_only_what_is_behind_it() -> None:
     assert part_behind(boxes, -points, eye) == 0.0  # behind the camera
     assert part_behind(boxes, points, np.array([2.2, 0.0, 0.0])) == 0.0  # from within
     assert part_behind(np.zeros((0, 2, 3)), points, eye) == 0.0
+    side_by_side = np.array([[[2.0, y, -1.0], [2.5, y + 1.0, 1.0]] for y in (-1.0, 0.0)])
+    assert part_behind(side_by_side, points[3:4], eye) == 1.0  # through the face between them
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -485,6 +487,31 @@ def test_mesh_colours_come_from_their_files(panda: Robot) -> None:
     assert {drawn.link for drawn in meshes} >= {"panda_link0", "panda_link7", "panda_hand"}
     assert any(max(drawn.rgba[:3]) < 0.3 for drawn in meshes)  # its black parts
     assert any(min(drawn.rgba[:3]) > 0.95 for drawn in meshes)  # its white ones
+
+
+def test_the_meshes_of_a_machine_are_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A copy with other limits looks the same; a machine that is loaded again may not."""
+    (tmp_path / "arm.urdf").write_text(
+        """<robot name="arm"><link name="base"/><link name="arm">
+          <visual><geometry><mesh filename="arm.stl"/></geometry></visual>
+          <collision><geometry><box size="1 0.1 0.1"/></geometry></collision></link>
+          <joint name="hinge" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+          <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+    )
+    trimesh.creation.box(extents=[1.0, 0.1, 0.1]).export(tmp_path / "arm.stl")
+    read, load = [], trimesh.load_scene
+
+    def counting(file: Path) -> trimesh.Scene:
+        read.append(file.name)
+        return load(file)
+
+    monkeypatch.setattr(trimesh, "load_scene", counting)
+    robot = load_robot(tmp_path / "arm.urdf")
+    first, again = machine_meshes(robot), machine_meshes(replace(robot, limits=replace(robot.limits)))
+    assert again is first
+    assert read == ["arm.stl"]
+    machine_meshes(load_robot(tmp_path / "arm.urdf"))
+    assert read == ["arm.stl", "arm.stl"]
 
 
 def test_the_lines_of_a_grid_lie_in_their_plane_on_round_numbers() -> None:

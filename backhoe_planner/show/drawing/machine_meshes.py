@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import trimesh
@@ -36,12 +37,33 @@ class LinkMesh:
     facets: Facets
 
 
+class _Shaped:
+    """A machine that equals its copies with the same shapes, such as with a tracking error or other limits."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self._key = id(robot.visuals), id(robot.pieces)  # these live as long as this object
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Shaped) and self._key == other._key
+
+
 def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]:
     """The drawing of the machine, and in words what could not be drawn as its URDF specifies.
 
     A visual whose mesh cannot be read is replaced by the link's collision pieces. If the URDF has no visuals, the
-    whole machine is.
+    whole machine is. The last four machines are remembered: reading the meshes of a Panda takes most of the time of a
+    page.
     """
+    return _machine_meshes(_Shaped(robot))
+
+
+@lru_cache(maxsize=4)
+def _machine_meshes(shaped: _Shaped) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]:
+    robot = shaped.robot
     warnings: list[str] = []
     parts: dict[tuple[str, int, Rgba], list[trimesh.Trimesh]] = {}
     replaced: set[str] = set()

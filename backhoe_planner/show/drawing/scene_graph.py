@@ -133,7 +133,7 @@ class SceneGraph:
         self._rods: set[str] = set()
         self._shown_colour: dict[str, tuple[float, ...]] = {}
         self._placed: dict[tuple[str, str], Matrix] = {}
-        self._draw_stage(centre)
+        self._draw_stage(centre, away)
         self._draw_machine()
         self._draw_site(centre)
         self._draw_task()
@@ -142,7 +142,7 @@ class SceneGraph:
 
     # --- what does not move ---------------------------------------------------------
 
-    def _draw_stage(self, centre: Vector) -> None:
+    def _draw_stage(self, centre: Vector, view: View) -> None:
         set_stage(self._tree, reach=1.2 * self._radius)
         if self.has_ground:
             opening, buried = self._below_ground()
@@ -150,7 +150,7 @@ class SceneGraph:
                 self._tree["ground"], centre=centre[:2], radius=1.9 * self._radius,
                 opacity=0.5 if buried else 0.95, opening=opening,
             )  # fmt: skip
-        self.look(self._machine_points)
+        set_camera(self._tree, view)
 
     def _below_ground(self) -> tuple[Matrix | None, bool]:
         """Outline (k, 2) of the obstacles that are the ground, and whether anything else is beneath it."""

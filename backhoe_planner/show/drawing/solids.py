@@ -99,9 +99,10 @@ def facets(mesh: trimesh.Trimesh, crease: float = _CREASE) -> Facets:
     """
     smooth = mesh.face_adjacency[mesh.face_adjacency_angles < crease]
     patch = trimesh.graph.connected_component_labels(smooth, node_count=len(mesh.faces))
-    corners = np.column_stack((np.ravel(mesh.faces), np.repeat(patch, 3)))
-    distinct, index = np.unique(corners, axis=0, return_inverse=True)
-    split = trimesh.Trimesh(mesh.vertices[distinct[:, 0]], index.reshape(-1, 3), process=False)
+    # one number for a vertex in a patch: numpy sorts numbers in a fifth of the time that it takes for pairs
+    corners = np.ravel(mesh.faces) * len(mesh.faces) + np.repeat(patch, 3)
+    distinct, index = np.unique(corners, return_inverse=True)
+    split = trimesh.Trimesh(mesh.vertices[distinct // len(mesh.faces)], index.reshape(-1, 3), process=False)
     return Facets(
         vertices=np.asarray(split.vertices),
         normals=np.asarray(split.vertex_normals),
