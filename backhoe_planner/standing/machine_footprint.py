@@ -40,12 +40,12 @@ class MachineFootprint:
         self._low = np.floor((corners.min(axis=0) - _AROUND) / _CELL) * _CELL
         count = np.ceil((corners.max(axis=0) + _AROUND - self._low) / _CELL).astype(int) + 1
         x, y = (self._low[axis] + _CELL * np.arange(count[axis]) for axis in (0, 1))
-        nodes = np.stack(np.meshgrid(x, y), axis=-1)
-        covered = np.zeros(nodes.shape[:2], dtype=bool)
+        covered = np.zeros((len(y), len(x)), dtype=bool)
         for outline in self.outlines:
-            edges = np.roll(outline, -1, axis=0) - outline
-            off = nodes[:, :, None, :] - outline
-            covered |= np.all(edges[:, 0] * off[..., 1] - edges[:, 1] * off[..., 0] >= -1e-9, axis=-1)
+            inside = np.ones_like(covered)
+            for corner, edge in zip(outline, np.roll(outline, -1, axis=0) - outline, strict=True):
+                inside &= (edge[0] * (y - corner[1]))[:, None] - edge[1] * (x - corner[0]) >= -1e-9
+            covered |= inside
         self._distance = _CELL * np.asarray(distance_transform_edt(~covered))
 
     def distances(self, base: Base, points: Array) -> Array:

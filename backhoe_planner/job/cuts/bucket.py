@@ -168,7 +168,11 @@ class _Section:
         side = along[0] * off[:, 1] - along[1] * off[:, 0]
         middle = self.outline.mean(axis=0) - self.opening[0]
         below = side * (along[0] * middle[1] - along[1] * middle[0]) > 0.0
-        free = below & _within(points, self.outline) & ~np.any([_within(points, p) for p in self.plates], axis=0)
+        x, y = axes
+        free = _within(x, y, self.outline)
+        for plate in self.plates:
+            free &= ~_within(x, y, plate)
+        free = below & free.ravel()
         if not free.any():
             return 0.0, np.asarray(0.5 * self.opening.sum(axis=0) @ self.frame[:2])
         # the space behind a plate is not inside: only what can be reached from the mouth is
@@ -236,8 +240,9 @@ def _turn(a: Vector, b: Vector, c: Vector) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-def _within(points: Matrix, corners: Matrix) -> Flags:
-    """(m,) whether points (m, 2) are in a convex polygon, its `corners` counter-clockwise."""
-    sides = np.roll(corners, -1, axis=0) - corners
-    off = points[:, None, :] - corners[None, :, :]
-    return np.asarray(np.all(sides[:, 0] * off[:, :, 1] - sides[:, 1] * off[:, :, 0] >= 0.0, axis=1))
+def _within(x: Vector, y: Vector, corners: Matrix) -> Flags:
+    """(k, m) whether points of a lattice x (k,), y (m,) are in a convex polygon, its `corners` counter-clockwise."""
+    found = np.ones((len(x), len(y)), dtype=bool)
+    for corner, side in zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True):
+        found &= side[0] * (y - corner[1]) >= (side[1] * (x - corner[0]))[:, None]
+    return found

@@ -79,10 +79,13 @@ class ArmOutline:
                 rotation, translation = placement.rotation, placement.translation
                 frame[0, :3], frame[0, 3] = out.dot(rotation[:2]), out.dot(translation[:2] - self._plane.axis)
                 frame[1, :3], frame[1, 3] = rotation[2], translation[2]
-        found = np.ones(len(q), dtype=bool)
+        found, highest = np.ones(len(q), dtype=bool), np.max(raised[1])
         for (_, points, radius), frame in zip(self._points, np.moveaxis(frames, 1, 0), strict=True):
-            at_r, z = (frame[found, axis, :3] @ points.T + frame[found, axis, 3:] for axis in (0, 1))
-            found[found] = np.all(z - radius >= np.interp(at_r, *raised), axis=1)
+            rows = np.flatnonzero(found)
+            lowest = frame[rows, 1, :3] @ points.T + (frame[rows, 1, 3:] - radius)
+            low = np.flatnonzero(np.min(lowest, axis=1) < highest)  # a piece above all of the ground is clear
+            at_r = frame[rows[low], 0, :3] @ points.T + frame[rows[low], 0, 3:]
+            found[rows[low]] = np.all(lowest[low] >= np.interp(at_r, *raised), axis=1)
         return found
 
 

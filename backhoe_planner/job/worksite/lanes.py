@@ -266,12 +266,12 @@ class _Places:
             depth += 1
             going = np.array([k for k in going[free].tolist() if depth < len(down[k])], dtype=np.int64)
         causes: list[tuple[str, str]] = [("", "")]
-        for index in sorted(blocked):
-            if held_up[index]:
-                stopped = self._stop(float(self._r[index]), blocked[index])
-                if stopped not in causes:
-                    causes.append(stopped)
-                cause[index] = causes.index(stopped)
+        stuck = [index for index in sorted(blocked) if held_up[index]]
+        stops = self._stops(self._r[stuck], np.array([blocked[index] for index in stuck])) if stuck else []
+        for index, stopped in zip(stuck, stops, strict=True):
+            if stopped not in causes:
+                causes.append(stopped)
+            cause[index] = causes.index(stopped)
         return floor, cause, tuple(causes)
 
     def _free(self, r: Vector, z: Vector) -> Flags:
@@ -282,9 +282,12 @@ class _Places:
             dtype=bool,
         )
 
-    def _stop(self, r: float, z: float) -> tuple[str, str]:
-        """What blocks the teeth at a radius and a height [m] where they are not free, as kind and name."""
-        (q,), (reached,), (above,) = self._postures(np.array([r]), np.array([z]))
+    def _stops(self, r: Vector, z: Vector) -> list[tuple[str, str]]:
+        """What blocks the teeth at radii and heights (K,) [m] where they are not free, each as kind and name."""
+        return [self._stop(*place) for place in zip(*self._postures(r, z), strict=True)]
+
+    def _stop(self, q: Matrix, reached: Flags, above: Flags) -> tuple[str, str]:
+        """What blocks the teeth at one place; q (P, n), reached, above (P,): see `_postures`."""
         if not reached.any():
             return "out_of_reach", ""
         if not above.any():

@@ -313,14 +313,14 @@ def _element_key(element: etree._Element) -> str:
 
 def _check_numbers(root: etree._Element, path: Path) -> None:
     for element in (part for top in root if top.tag in ("link", "joint") for part in top.iter(etree.Element)):
-        for attribute, text in element.attrib.items():
+        for attribute, text in element.items():
             if attribute not in _NUMERIC or (attribute == "value" and element.tag != "mass"):
                 continue
             try:
                 numbers = [float(word) for word in str(text).split()]
             except ValueError:
                 raise _wrong(element, attribute, path, "is not a number") from None
-            if not numbers or not all(math.isfinite(number) for number in numbers):
+            if not numbers or not all(map(math.isfinite, numbers)):
                 raise _wrong(element, attribute, path, "is not a finite number")
             wanted = _COUNTS.get(str(attribute), (1,))
             if len(numbers) not in wanted:
@@ -368,9 +368,10 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 def _check_complete(root: etree._Element, path: Path) -> None:
     """Check that shapes and inertias have all their parts, and only once; yourdfpy drops others silently."""
     for element in (*root.iterfind("joint"), *root.iterfind("link/*")):
-        for tag in _ONCE:
-            if len(element.findall(tag)) > 1:
-                raise RobotError(f"has more than one <{tag}>", file=path, key=_element_key(element))
+        tags = [child.tag for child in element]
+        twice = next((tag for tag in _ONCE if tags.count(tag) > 1), None) if len(set(tags)) < len(tags) else None
+        if twice is not None:
+            raise RobotError(f"has more than one <{twice}>", file=path, key=_element_key(element))
     for link in root.findall("link"):
         for shape in (*link.findall("collision"), *link.findall("visual")):
             geometry = shape.find("geometry")
