@@ -316,6 +316,9 @@ def test_a_machine_beside_its_track_or_at_another_velocity_has_not_joined_it(pas
     assert track.is_joined_by(q, still)
     assert not track.is_joined_by(q + np.array([0.0, 1e-3, 0.0, 0.0]), still)
     assert not track.is_joined_by(q, np.array([0.0, 0.3, 0.0, 0.0]))
+    # far behind it, the machine comes no faster than its joints can
+    np.testing.assert_array_equal(track.faster(q - 0.5, limits.velocity, 1.0), limits.velocity)
+    np.testing.assert_array_equal(track.faster(q + 0.5, -limits.velocity, 1.0), -limits.velocity)
 
 
 def test_the_reference_rests_where_the_motion_rests(backhoe: Robot) -> None:

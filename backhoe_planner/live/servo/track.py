@@ -181,5 +181,7 @@ class Track:
         """(n,) from q (n,) to the place on the track that is a step further at a pace [rad/s or m/s]."""
         limits = self._limits
         ahead = self.reference.at(self.reference.clock + pace * self.dt)
-        found = np.clip((np.clip(ahead, limits.lower, limits.upper) - q) / self.dt, -limits.velocity, limits.velocity)
+        # as np.clip, which takes three times as long for a few joints
+        found = (np.minimum(np.maximum(ahead, limits.lower), limits.upper) - q) / self.dt
+        found = np.minimum(np.maximum(found, -limits.velocity), limits.velocity)
         return found if float(np.abs(found).max()) > _STILL else np.zeros_like(found)
