@@ -15,7 +15,7 @@ positive = st.floats(0.001, 50.0) | st.integers(1, 5)
 amounts = st.floats(0.0, 50.0, allow_subnormal=False) | st.integers(0, 5)
 vectors = st.lists(numbers, min_size=3, max_size=3)
 angles = st.lists(st.floats(-math.pi, math.pi, allow_subnormal=False), min_size=3, max_size=3)
-names = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "S", "Zs")), min_size=1, max_size=12)
+names = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), min_size=1, max_size=12)
 
 
 def _unit(parts: list[float]) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -175,23 +176,22 @@ def test_too_many_cells_are_refused_with_their_number() -> None:
 # --- by brute force ----------------------------------------------------------------------
 
 
-def solids(rng: np.random.Generator) -> dict[str, tuple[Cluster, list[Piece]]]:
-    """Clusters, each with convex pieces of the same union."""
+def solids(rng: np.random.Generator, kind: str) -> tuple[Cluster, Callable[[], list[Piece]]]:
+    """A cluster, and what makes convex pieces of the same union; all kinds take the same random numbers."""
     place = random_place(rng, 0.3)
     points = rng.uniform(-1.0, 1.0, (200, 3)) * [1.0, 1.0, 0.3]
-    boxes = [shapes.box(size, place * at(*centre)) for centre, size in voxel_boxes(points, 0.1)]
     x = np.linspace(-1.0, 1.0, 13)
     heights = 0.3 * np.sin(3.0 * x)[:, None] * np.cos(2.0 * x) + rng.normal(0.0, 0.02, (13, 13))
-    columns = [
-        shapes.convex(corners, place) for corners in terrain_columns(heights, (2.0, 2.0), tolerance=0.0, depth=5.0)
-    ]
+    if kind == "scan":
+        boxes = voxel_boxes(points, 0.1)
+        return scan(points, 0.1, place), lambda: [shapes.box(size, place * at(*centre)) for centre, size in boxes]
+    if kind == "terrain":
+        return terrain(heights, 2.0, place), lambda: [
+            shapes.convex(corners, place) for corners in terrain_columns(heights, (2.0, 2.0), tolerance=0.0, depth=5.0)
+        ]
     mesh = trimesh.creation.torus(0.7, 0.25, major_sections=16, minor_sections=8)
-    hulls = [shapes.convex(part, place) for part in torus_sections(mesh, 16, 8)]
-    return {
-        "scan": (scan(points, 0.1, place), boxes),
-        "terrain": (terrain(heights, 2.0, place), columns),
-        "mesh": (Cluster(MeshSolid(mesh, most=1000), place), hulls),
-    }
+    torus = Cluster(MeshSolid(mesh, most=1000), place)
+    return torus, lambda: [shapes.convex(part, place) for part in torus_sections(mesh, 16, 8)]
 
 
 def torus_sections(mesh: Any, major: int, minor: int) -> list[Matrix]:
@@ -213,7 +213,8 @@ LINKS = (
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
 def test_the_distance_of_a_cluster_is_the_least_over_all_cells(kind: str) -> None:
     rng = np.random.default_rng(7)
-    cluster, pieces = solids(rng)[kind]
+    cluster, make_pieces = solids(rng, kind)
+    pieces = make_pieces()
     signs = [0, 0]
     for number in range(40):
         link, place = LINKS[number % 3], random_place(rng, 1.2)
@@ -238,7 +239,7 @@ def test_the_distance_of_a_cluster_is_the_least_over_all_cells(kind: str) -> Non
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
 def test_boxes_around_a_link_contain_all_cells_near_it(kind: str) -> None:
     rng = np.random.default_rng(8)
-    cluster, _ = solids(rng)[kind]
+    cluster, _ = solids(rng, kind)
     for number in range(30):
         link, place = LINKS[number % 3], random_place(rng, 1.2)
         true = distance(cluster, link, place)
@@ -374,7 +375,7 @@ def test_a_shape_is_not_out_of_a_mesh_before_it_has_moved_by_its_depth(way: str)
 def test_compiled_boxes_equal_those_found_by_coal(kind: str, most: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """For upright and turned solids and links that touch no cell; for links in contact coal finds the boxes."""
     rng = np.random.default_rng(14)
-    upright, _ = solids(rng)[kind]
+    upright, _ = solids(rng, kind)
     turned = upright.moved_to(random_place(rng, 0.3))
     answered: list[bool] = []
 
@@ -415,7 +416,7 @@ def test_compiled_boxes_equal_those_found_by_coal(kind: str, most: int, monkeypa
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
 def test_bounds_hold_if_the_grid_is_smaller_than_the_solid(kind: str) -> None:
     rng = np.random.default_rng(9)
-    cluster, _ = solids(rng)[kind]
+    cluster, _ = solids(rng, kind)
     known = 0
     for radius in (0.4, 3.0):
         grid = cluster.grid(np.array([0.3, 0.2, 0.4]), radius)
@@ -580,7 +581,7 @@ def test_exact_boxes_are_no_nearer_than_the_cells(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
 def test_the_cells_near_a_box_include_all_with_their_middle_in_it(kind: str) -> None:
-    solid = solids(np.random.default_rng(13))[kind][0].solid
+    solid = solids(np.random.default_rng(13), kind)[0].solid
     rng = np.random.default_rng(14)
     every = solid.near(solid.bounds[0] - 1.0, solid.bounds[1] + 1.0)
     middle, radius = every.around()
@@ -597,7 +598,7 @@ def test_the_cells_near_a_box_include_all_with_their_middle_in_it(kind: str) -> 
 
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
 def test_tiles_find_all_cells_within_reach_of_a_link(kind: str) -> None:
-    solid = solids(np.random.default_rng(16))[kind][0].solid
+    solid = solids(np.random.default_rng(16), kind)[0].solid
     rng = np.random.default_rng(17)
     middle, _ = solid.near(solid.bounds[0] - 1.0, solid.bounds[1] + 1.0).around()
     near, left_out = 0, 0

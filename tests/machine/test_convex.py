@@ -406,10 +406,11 @@ def torn(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, faces, vertex_normals=mesh.face_normals.repeat(3, axis=0), process=False)
 
 
-def is_inside(mesh: trimesh.Trimesh, x: float) -> bool:
-    place = pin.SE3(np.eye(3), np.array([x, 0.01, 0.02]))
-    solid = Cluster(MeshSolid(mesh, most=100), pin.SE3.Identity())
-    return solid.inside_of(shapes.sphere(0.05, pin.SE3.Identity()), place) is not None
+def inside(mesh: trimesh.Trimesh, *along: float) -> list[bool]:
+    """Whether a small ball at each x is in a mesh."""
+    solid, ball = Cluster(MeshSolid(mesh, most=100), pin.SE3.Identity()), shapes.sphere(0.05, pin.SE3.Identity())
+    places = (pin.SE3(np.eye(3), np.array([x, 0.01, 0.02])) for x in along)
+    return [solid.inside_of(ball, place) is not None for place in places]
 
 
 @pytest.mark.parametrize("suffix", ["obj", "dae", "glb", "ply"])
@@ -419,7 +420,7 @@ def test_a_closed_body_with_normals_by_face_is_solid(suffix: str, tmp_path: Path
     mesh = load_mesh(tmp_path / f"block.{suffix}")
     assert mesh.is_watertight
     assert mesh.volume == pytest.approx(6.0)
-    assert [is_inside(mesh, x) for x in (-0.6, -0.4, 0.0, 0.4, 0.6)] == [False, True, True, True, False]
+    assert inside(mesh, -0.6, -0.4, 0.0, 0.4, 0.6) == [False, True, True, True, False]
 
 
 def test_closed_bodies_side_by_side_stay_solid(tmp_path: Path) -> None:
@@ -429,7 +430,7 @@ def test_closed_bodies_side_by_side_stay_solid(tmp_path: Path) -> None:
     trimesh.Scene([torn(block), torn(other)]).export(tmp_path / "blocks.glb")
     mesh = load_mesh(tmp_path / "blocks.glb")
     assert mesh.volume == pytest.approx(12.0)
-    assert [is_inside(mesh, x) for x in (-0.6, 0.0, 1.0, 1.6)] == [False, True, True, False]
+    assert inside(mesh, -0.6, 0.0, 1.0, 1.6) == [False, True, True, False]
 
 
 def test_a_closed_body_with_a_material_for_each_face_is_solid(tmp_path: Path) -> None:

@@ -65,7 +65,7 @@ def answer() -> bp.StandPlan:
         dig={"trench": {"from": [4.4, 0.0], "to": [3.7, 0.0], **TRENCH}},
         site={"base": {"position": [-0.25, 0.0], "heading": 0.0}},  # a place on the map
     )  # fmt: skip
-    return bp.stand(job, count=1)
+    return bp.stand(job, count=1, effort="quick")
 
 
 @pytest.mark.long

@@ -176,7 +176,7 @@ WALL = upright((2.6, 5.0), -1.4, 2.0, 0.05) + 0.02  # across the swing from the 
 
 def test_a_job_is_planned_around_a_wall_that_its_ground_contains(tmp_path: Path) -> None:
     job = walled_job(tmp_path, WALL)
-    plan = plan_job(job)
+    plan = plan_job(job, effort="quick")
     assert plan.verified
     assert plan.start.surface.max() <= 0.02
     assert plan.cycles[-1].after.off_ground is plan.start.off_ground
@@ -214,7 +214,7 @@ def test_no_soil_is_dumped_where_something_stands(tmp_path: Path) -> None:
 
 def test_a_motion_through_a_wall_is_refuted_with_its_name(tmp_path: Path) -> None:
     """A plan for the ground without the wall, read with the wall in the ground and in its file."""
-    plan = plan_job(walled_job(tmp_path, WALL[:0]))
+    plan = plan_job(walled_job(tmp_path, WALL[:0]), effort="quick")
     assert plan.verified
     assert plan.start.off_ground is None
     plan.save(tmp_path / "plan.json")
