@@ -27,6 +27,8 @@ from backhoe_planner.machine.kinematics.kinematics import chain_factors, chain_p
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.native import compiled
 
+_LOWER = np.tril_indices(3)  # xx, xy, yy, xz, yz, zz of a symmetric matrix
+
 
 class Chain(NamedTuple):
     """The constants of a chain.
@@ -51,7 +53,7 @@ class Chain(NamedTuple):
         factors = chain_factors(robot)
         factors[-3:, 0] = 0.0
         inertias = list(model.inertias)[1:]
-        bodies = [np.concatenate(([one.mass], one.lever, one.inertia[np.tril_indices(3)])) for one in inertias]
+        bodies = [np.concatenate(([one.mass], one.lever, one.inertia[_LOWER])) for one in inertias]
         return cls(
             np.ascontiguousarray(factors), robot.prismatic.astype(float), np.array(bodies), model.gravity.linear.copy()
         )
