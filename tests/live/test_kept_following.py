@@ -16,11 +16,8 @@ from backhoe_planner.live.braking.kept_rows import KeptRows
 from backhoe_planner.live.braking_pace import BrakingPace, PlanPart, StopRule
 from backhoe_planner.live.detours.reference import Reference
 from backhoe_planner.live.kept_following import KeptFollowing, held_velocity, velocity_back
-from backhoe_planner.machine import shipped_folder
 from backhoe_planner.motion import Keep, keep_of
 from backhoe_planner.site import ClearanceScreen
-
-SCENES = shipped_folder("scenes")
 
 NAMES = ("swing", "boom", "stick", "bucket")
 A, B = (0.0, 0.3, -1.5, -1.5), (1.0, 0.6, -1.2, -2.1)  # both at a pitch of -2.7
@@ -101,14 +98,11 @@ def test_a_widened_band_just_includes_the_given_configuration(backhoe: bp.Robot)
     assert not wider.holds(q + np.array([0.0, 0.0, 0.0, 1e-4]))
 
 
-def test_a_plan_of_least_time_is_followed_within_what_it_keeps(backhoe: bp.Robot) -> None:
+def test_a_plan_of_least_time_is_followed_within_what_it_keeps(level_plan: bp.Plan) -> None:
     """Nothing is in the way but what was planned around. Braking straight ahead from the plan would tip the bucket."""
-    loaded = bp.load_scene(SCENES / "level_bucket.yaml")
-    plan = bp.plan(backhoe, loaded, effort="quick")
-    assert plan.verified, plan.message
-    keep = plan.problem.keep
+    plan, keep = level_plan, level_plan.problem.keep
     assert keep is not None
-    servo = bp.Servo(backhoe, loaded, 0.005, q=plan.trajectory.q[0])
+    servo = bp.Servo(plan.robot, plan.scene, 0.005, q=plan.trajectory.q[0])
     least, statuses = np.inf, set()
     with bp.PlanFollower(servo, plan, executor=AtOnce()) as follower:
         for _ in range(round(4.0 * plan.trajectory.duration / 0.005)):
@@ -123,13 +117,11 @@ def test_a_plan_of_least_time_is_followed_within_what_it_keeps(backhoe: bp.Robot
 
 
 @pytest.mark.parametrize("dt", [0.06, 0.1])
-def test_a_machine_that_is_held_keeps_its_bucket_level_in_long_steps_too(backhoe: bp.Robot, dt: float) -> None:
+def test_a_machine_that_is_held_keeps_its_bucket_level_in_long_steps_too(level_plan: bp.Plan, dt: float) -> None:
     """In one step it slides so that the bucket tips by 20 degrees a second more; the boom needs 0.5 s to stop."""
-    plan = bp.plan(backhoe, bp.load_scene(SCENES / "level_bucket.yaml"), effort="quick")
-    keep = plan.problem.keep
-    assert plan.verified
+    plan, keep = level_plan, level_plan.problem.keep
     assert keep is not None
-    servo = bp.Servo(backhoe, plan.scene, dt, q=plan.trajectory.q[0])
+    servo = bp.Servo(plan.robot, plan.scene, dt, q=plan.trajectory.q[0])
     with bp.PlanFollower(servo, plan, executor=AtOnce()) as follower:
         postures = [follower.step().state.q for _ in range(round(2.0 * plan.trajectory.duration / dt))]
     assert min(float(keep.margins(q).min()) for q in postures) > -1e-3
@@ -209,16 +201,15 @@ def test_the_machine_stops_before_a_slow_joint_carries_it_out_of_the_band(
     assert (pace == 0.0) is stops
 
 
-def test_a_machine_that_stops_for_a_crate_close_by_keeps_its_bucket_level(backhoe: bp.Robot) -> None:
+def test_a_machine_that_stops_for_a_crate_close_by_keeps_its_bucket_level(level_plan: bp.Plan) -> None:
     """The crate leaves no room to stop along the plan; if all joints braked in proportion, it would tip by 10 deg."""
-    plan = bp.plan(backhoe, bp.load_scene(SCENES / "level_bucket.yaml"), effort="quick")
-    keep = plan.problem.keep
+    plan, keep = level_plan, level_plan.problem.keep
     assert keep is not None
     crate = {
         "name": "crate", "shape": "box", "size": [0.41, 0.36, 0.39], "rpy": [-0.39, -0.27, -0.52],
         "position": [1.19, 2.01, 1.58],
     }  # fmt: skip
-    servo, margins = bp.Servo(backhoe, plan.scene, 0.01, q=plan.trajectory.q[0]), []
+    servo, margins = bp.Servo(plan.robot, plan.scene, 0.01, q=plan.trajectory.q[0]), []
     with bp.PlanFollower(servo, plan, executor=AtOnce()) as follower:
         while follower.step().plan_time < 1.72:
             pass
@@ -230,14 +221,6 @@ def test_a_machine_that_stops_for_a_crate_close_by_keeps_its_bucket_level(backho
                 break
     assert step.reason.endswith("a way round is searched for")
     assert min(margins) > 0.0
-
-
-@pytest.fixture(scope="module")
-def level_plan() -> bp.Plan:
-    """A plan of least time whose straight braking lines leave the band."""
-    plan = bp.plan(bp.load_robot("example:backhoe"), bp.load_scene(SCENES / "level_bucket.yaml"), effort="quick")
-    assert plan.verified, plan.message
-    return plan
 
 
 def test_a_machine_that_is_stopped_by_hand_on_its_plan_keeps_its_bucket_level(level_plan: bp.Plan) -> None:

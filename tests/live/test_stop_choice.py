@@ -15,19 +15,12 @@ from backhoe_planner.live import PlanFollower, Servo
 from backhoe_planner.live.braking.braking_path import JointState
 from backhoe_planner.live.servo.joint_stop import JointStop, stops_from
 from backhoe_planner.live.servo.stop_choice import Comparison, Stop, StopChoice
-from backhoe_planner.machine import Robot, shipped_folder
+from backhoe_planner.machine import Robot
 from backhoe_planner.site import Proximity, build_obstacle, obstacle_from_dict
 
 DT = 0.01
 KEPT = 1.1e-4  # m that a certificate accepts as keeping a clearance
 ACCELERATION = np.array([0.5, 0.4, 0.6, 1.0])
-
-
-@pytest.fixture(scope="module")
-def past_wall(backhoe: Robot) -> bp.Plan:
-    found = bp.plan(backhoe, bp.load_scene(shipped_folder("scenes") / "wall.yaml"), effort="quick")
-    assert found.verified, found.message
-    return found
 
 
 def on_track(plan: bp.Plan, steps: int, scene: bp.Scene | None = None) -> tuple[Servo, PlanFollower]:
