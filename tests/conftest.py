@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+from shipped_plans import planned
 
 import backhoe_planner as bp
-from backhoe_planner.machine import Robot, load_robot, shipped_folder
+from backhoe_planner.machine import Robot, load_robot
 
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
 GRAPHICS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
@@ -76,22 +77,15 @@ def around_a_ball(planar4: Robot) -> bp.Plan:
     return bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
 
 
-def planned_quickly(robot: Robot, name: str) -> bp.Plan:
-    """A plan of one of the scenes of the package."""
-    found = bp.plan(robot, bp.load_scene(shipped_folder("scenes") / f"{name}.yaml"), effort="quick")
-    assert found.verified, found.message
-    return found
-
-
 @pytest.fixture(scope="session")
 def past_wall(backhoe: Robot) -> bp.Plan:
-    return planned_quickly(backhoe, "wall")
+    return planned(backhoe, "wall")
 
 
 @pytest.fixture(scope="session")
 def level_plan(backhoe: Robot) -> bp.Plan:
     """A plan of least time whose straight braking lines leave the band of the pitch that is kept."""
-    return planned_quickly(backhoe, "level_bucket")
+    return planned(backhoe, "level_bucket")
 
 
 @pytest.fixture(params=["planar4", "backhoe", "ur5", "panda"])

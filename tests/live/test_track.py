@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from executors import AtOnce, Never
+from shipped_plans import planned
 
 import backhoe_planner as bp
 from backhoe_planner.live import FollowerState, PlanFollower, Servo
@@ -23,12 +24,6 @@ from backhoe_planner.site import Proximity
 SCENES = shipped_folder("scenes")
 DT = 0.01
 KEPT = 1.1e-4  # m that a certificate accepts as keeping a clearance
-
-
-def planned(robot: Robot, name: str) -> bp.Plan:
-    found = bp.plan(robot, bp.load_scene(SCENES / f"{name}.yaml"), effort="quick")
-    assert found.verified, found.message
-    return found
 
 
 def servo_of(plan: bp.Plan, dt: float = DT) -> Servo:
