@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -161,6 +162,88 @@ class _State:
         return replace(self, box=self.box * (part * SHRINK), bend=self.bend.stiffer(1.0 / (part * SHRINK)))
 
 
+@dataclass(eq=False)
+class _Course:
+    """One descent on its way.
+
+    Attributes
+    ----------
+    looks: the places at which it checks clearances.
+    goal: on which the end may move; None if the end is fixed.
+    unit: by which the model divides costs, in the objective's unit.
+    enough: part of the cost: a smaller gain is too little.
+    now: the present curve.
+    clear: the last that was clear, or the first.
+    times_missed: factor on the price of what a curve misses.
+    price: of a metre missed, in the objective's unit.
+    before: the curve before the last step, as long as the model is that of it; else None.
+    steps: tried so far.
+    failed: how many of the last ones were not better.
+    slow: how many of the last better ones gained too little.
+    has_ended: whether no step should follow.
+    """
+
+    looks: Looks
+    goal: Goal | None
+    unit: float
+    enough: float
+    now: _State
+    clear: _State
+    times_missed: float
+    price: float
+    before: Timed | None = None
+    steps: int = 0
+    failed: int = 0
+    slow: int = 0
+    has_ended: bool = False
+
+    @property
+    def is_astray(self) -> bool:
+        """Whether the present curve is not clear, and an earlier one is."""
+        return is_astray(self.now.here, self.clear.here, self.looks)
+
+    @property
+    def costs_nothing(self) -> bool:
+        """Whether the present curve is clear, and so cheap that its cost counts as nothing."""
+        here = self.now.here
+        return here.cost <= self.now.pricing.nothing and here.missed <= self.looks.allowed
+
+    def worth(self, here: Timed) -> float:
+        """The cost of a curve, with the price of what it misses."""
+        return here.cost + self.price * here.missed
+
+    def turn_back(self) -> None:
+        """Go back to the last clear curve, but not with larger steps."""
+        self.now, self.before = replace(self.clear, box=min(self.now.box, self.clear.box)), None
+
+    def renew(self, **known: Any) -> None:
+        """Replace these attributes of the state at the present curve, also where that is the last clear one."""
+        was_clear = self.clear.here is self.now.here
+        self.now = replace(self.now, **known)
+        if was_clear:
+            self.clear = replace(self.clear, **known)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """What came of trying a step.
+
+    Attributes
+    ----------
+    there: the curve after it; None if there is none.
+    gain: by how much its worth is less.
+    part: of the step that is left after shortening.
+    known: which places were checked when the present curve was seen, see `Looks.known`.
+    noticed: whether the step went into an obstacle at a place that was not checked before.
+    """
+
+    there: Timed | None
+    gain: float
+    part: float
+    known: tuple[int, int]
+    noticed: bool
+
+
 class DescentOfCost(Descent):
     """Descents to the cheapest motions; parameters and attributes as for `Descent`."""
 
@@ -217,85 +300,100 @@ class DescentOfCost(Descent):
 
     def _down(self, curve: JointCurve, duration: float, flow: float, run: _Run, options: Options) -> tuple[Timed, _Run]:
         """One descent, for one of the soft flows; the result's cost is without rounded kinks."""
-        goal, times_missed = run.goal, run.times_missed
-        free = goal if goal.q is None else None
-        looks = self._looks(curve, options.spare, options.density, free)
         exact = _Pricing(replace(run.own_time, soft_flow=flow), options.longest, late=run.late)
-        here = self._timed(self._within_cones(curve, looks), max(duration, SAMPLE_PERIOD), exact, looks)
-        price, unit = times_missed * MISSED_WORTH * here.cost, max(here.cost, NO_COST)
-        enough = _ENOUGH_ROUGH if options.rough else _ENOUGH_BENT
-        now = clear = self._first(here, exact, free, unit, options.box, run.curvature)  # now, and when it was clear
-        begun, steps, failed, slow = self.rounds, 0, 0, 0
-        before: Timed | None = None  # the curve before the last step, if `now.bend` is still that of it
-        while self.rounds - begun < options.most_rounds:
-            if options.is_hopeless(now.here, steps):
-                if not is_astray(now.here, clear.here, looks):
+        course, begun = self._begun(curve, duration, exact, run, options), self.rounds
+        while self.rounds - begun < options.most_rounds and not course.has_ended:
+            if options.is_hopeless(course.now.here, course.steps):
+                if not course.is_astray:
                     break
-                now, before = replace(clear, box=min(now.box, clear.box)).after_failure(1.0), None
+                course.turn_back()
+                course.now = course.now.after_failure(1.0)
                 continue
-            if now.here.cost <= now.pricing.nothing and now.here.missed <= looks.allowed:
+            if course.costs_nothing:
                 break
             self._brake.check()
-            if before is not None:
-                now, before = replace(now, bend=self._bend_after(before, now, free, unit)), None
-                clear = replace(clear, bend=now.bend) if clear.here is now.here else clear
-            if now.pricing.width > _SOFTEST * now.pricing.suitable_width(now.here):
-                now = now.narrower(free, unit)
-                last = now.pricing.priced(clear.here) if is_astray(now.here, clear.here, looks) else now.here
-                clear = replace(clear, here=last, pricing=now.pricing)
-            steps, self.rounds = steps + 1, self.rounds + 1
-            worst, known = now.here.cost + price * now.here.missed, looks.known
-            there = self._step(now, free, looks, times_missed, below=worst)
-            part, noticed = 1.0, looks.known != known
-            if there is not None:
-                if noticed:  # the curve before may also go into a newly noticed obstacle
-                    seen, known = self._seen_anew(now.here, looks), looks.known
-                    clear = replace(clear, here=seen) if clear.here is now.here else clear
-                    now = replace(now, here=seen)
-                    worst = seen.cost + price * seen.missed
-                there = self._cleared(now, there, free, looks, times_missed, price)
-                there, part = self._shortened(now, there, free, looks, unit, price)
-            gain = -np.inf if there is None else worst - there.cost - price * there.missed
-            if there is None or gain <= 0.0:
-                failed += 1
-                if failed >= STUCK and is_astray(now.here, clear.here, looks):
-                    now = replace(clear, box=min(now.box, clear.box))
-                if there is not None:
-                    looks.widen(there.margins)
-                if looks.known != known:
-                    now, noticed = replace(now, here=self._seen_anew(now.here, looks)), True
-                now = now.after_failure(1.0 if noticed else max(part, _LEAST_PART))
-                if now.box < _SMALLEST_BENT:
-                    break
-                continue
-            if there.missed > max(now.here.missed, looks.allowed):
-                # so far, going into an obstacle gains more than it costs
-                times_missed = min(_MORE_MISSED * times_missed, _MOST_MISSED)
-                price = times_missed * MISSED_WORTH * unit
-            # a box far beyond the steps that are taken makes the program large
-            around = max(_AROUND * self._length(now.here, there), SMALLEST_BOX)
-            box = min(GROW * part * now.box, LARGEST_BOX, around)
-            before, now, failed = now.here, replace(now, here=there, box=box), 0
-            if there.missed <= looks.allowed:
-                clear = now
-            slow = slow + 1 if gain < enough * there.cost else 0
-            if slow >= _SLOW and there.missed <= KEPT:
-                break
-        if before is not None and self._problem.objective.jumps:
-            now = replace(now, bend=self._bend_after(before, now, free, unit))
-        found = clear if is_astray(now.here, clear.here, looks) else now
-        curvature = found.bend.curvature * unit if self._problem.objective.jumps else None
-        return exact.priced(found.here), replace(run, times_missed=times_missed, curvature=curvature)
+            self._learn(course)
+            course.steps, self.rounds = course.steps + 1, self.rounds + 1
+            tried = self._try(course)
+            if tried.there is None or tried.gain <= 0.0:
+                self._fail(course, tried)
+            else:
+                self._take(course, tried.there, tried)
+        jumps = self._problem.objective.jumps
+        if course.before is not None and jumps:
+            course.now = replace(course.now, bend=self._bend_after(course.before, course.now, course.goal, course.unit))
+        found = course.clear if course.is_astray else course.now
+        curvature = found.bend.curvature * course.unit if jumps else None
+        return exact.priced(found.here), replace(run, times_missed=course.times_missed, curvature=curvature)
 
-    def _first(
-        self, here: Timed, exact: _Pricing, goal: Goal | None, unit: float, box: float, curvature: Matrix | None
-    ) -> _State:  # fmt: skip
-        """The state in which a descent begins, with the curvature that a softer cost has shown."""
+    def _begun(self, curve: JointCurve, duration: float, exact: _Pricing, run: _Run, options: Options) -> _Course:
+        """The beginning of a descent, with the curvature that a softer cost has shown."""
+        goal = run.goal if run.goal.q is None else None
+        looks = self._looks(curve, options.spare, options.density, goal)
+        here = self._timed(self._within_cones(curve, looks), max(duration, SAMPLE_PERIOD), exact, looks)
+        price, unit = run.times_missed * MISSED_WORTH * here.cost, max(here.cost, NO_COST)
         pricing = exact.rounded_off(here)
         here = pricing.priced(here)
-        bend = Bend.smooth(*pricing.slope(here, goal, unit), here.curve.pieces, self._unit, box, here.duration)
-        bend = bend if curvature is None else replace(bend, curvature=curvature / unit)
-        return _State(here, box, pricing, bend)
+        slope = pricing.slope(here, goal, unit)
+        bend = Bend.smooth(*slope, here.curve.pieces, self._unit, options.box, here.duration)
+        bend = bend if run.curvature is None else replace(bend, curvature=run.curvature / unit)
+        state = _State(here, options.box, pricing, bend)
+        enough = _ENOUGH_ROUGH if options.rough else _ENOUGH_BENT
+        return _Course(looks, goal, unit, enough, state, state, run.times_missed, price)
+
+    def _learn(self, course: _Course) -> None:
+        """Let the model learn from the last step, and make kinks narrower if the cost has become small."""
+        goal, unit = course.goal, course.unit
+        if course.before is not None:
+            course.renew(bend=self._bend_after(course.before, course.now, goal, unit))
+            course.before = None
+        if course.now.pricing.width > _SOFTEST * course.now.pricing.suitable_width(course.now.here):
+            course.now = now = course.now.narrower(goal, unit)
+            last = now.pricing.priced(course.clear.here) if course.is_astray else now.here
+            course.clear = replace(course.clear, here=last, pricing=now.pricing)
+
+    def _try(self, course: _Course) -> _Tried:
+        """A step, repaired if it misses a clearance, and shortened if it costs more."""
+        looks, worst, known = course.looks, course.worth(course.now.here), course.looks.known
+        there = self._step(course, below=worst)
+        noticed = looks.known != known
+        if there is None:
+            return _Tried(None, -np.inf, 1.0, known, noticed)
+        if noticed:  # the curve before may also go into a newly noticed obstacle
+            seen, known = self._seen_anew(course.now.here, looks), looks.known
+            course.renew(here=seen)
+            worst = course.worth(seen)
+        there, part = self._shortened(course, self._cleared(course, there))
+        return _Tried(there, worst - there.cost - course.price * there.missed, part, known, noticed)
+
+    def _fail(self, course: _Course, tried: _Tried) -> None:
+        """Stay after a step that was not better: the next is shorter, and sees what this one went into."""
+        looks, noticed = course.looks, tried.noticed
+        course.failed += 1
+        if course.failed >= STUCK and course.is_astray:
+            course.turn_back()
+        if tried.there is not None:
+            looks.widen(tried.there.margins)
+        if looks.known != tried.known:
+            course.now, noticed = replace(course.now, here=self._seen_anew(course.now.here, looks)), True
+        course.now = course.now.after_failure(1.0 if noticed else max(tried.part, _LEAST_PART))
+        course.has_ended = course.now.box < _SMALLEST_BENT
+
+    def _take(self, course: _Course, there: Timed, tried: _Tried) -> None:
+        """Go on from the better curve `there`."""
+        now = course.now
+        if there.missed > max(now.here.missed, course.looks.allowed):
+            # so far, going into an obstacle gains more than it costs
+            course.times_missed = min(_MORE_MISSED * course.times_missed, _MOST_MISSED)
+            course.price = course.times_missed * MISSED_WORTH * course.unit
+        # a box far beyond the steps that are taken makes the program large
+        around = max(_AROUND * self._length(now.here, there), SMALLEST_BOX)
+        box = min(GROW * tried.part * now.box, LARGEST_BOX, around)
+        course.before, course.now, course.failed = now.here, replace(now, here=there, box=box), 0
+        if there.missed <= course.looks.allowed:
+            course.clear = course.now
+        course.slow = course.slow + 1 if tried.gain < course.enough * there.cost else 0
+        course.has_ended = course.slow >= _SLOW and there.missed <= KEPT
 
     def estimates(self, curves: Sequence[JointCurve], durations: Vector, *, longest: float) -> Vector:
         """(C,) estimated costs of curves with the same pieces in their own times.
@@ -316,44 +414,40 @@ class DescentOfCost(Descent):
         own_cost = exact.cost(found.curve, found.duration)  # that of `found` may be of a softer cost
         return replace(found, within_limits=motion, cost=motion_cost(self._problem, motion), own_cost=own_cost)
 
-    def _shortened(
-        self, now: _State, there: Timed, goal: Goal | None, looks: Looks, unit: float, price: float
-    ) -> tuple[Timed, float]:
+    def _shortened(self, course: _Course, there: Timed) -> tuple[Timed, float]:
         """The curve `there`, or one nearer to the present one if it costs more; and the part of the step that is left.
 
         The part is where the parabola through both costs, with the slope at the present curve, is least.
         """
-        here, slope = now.here, now.bend.slope * unit
-        worst, whole, part = here.cost + price * here.missed, there, 1.0
+        now, here, slope = course.now, course.now.here, course.now.bend.slope * course.unit
+        worst, whole, part = course.worth(here), there, 1.0
         for _ in range(_SHORTENINGS):
-            worse = there.cost + price * there.missed - worst
+            worse = course.worth(there) - worst
             if worse < 0.0:
                 break
-            falls = min(part * float(slope @ self._moved(here, whole, goal)), 0.0)
+            falls = min(part * float(slope @ self._moved(here, whole, course.goal)), 0.0)
             least = -0.5 * falls / (worse - falls) if worse > falls else 0.0
             part *= float(np.clip(least, _SHORTEST, SHRINK))
             control = here.curve.control + part * (whole.curve.control - here.curve.control)
             duration = here.duration + part * (whole.duration - here.duration)
             self.rounds += 1
-            shorter = self._on_goal(here.curve, control, goal, looks)
+            shorter = self._on_goal(here.curve, control, course.goal, course.looks)
             if shorter is None:
                 break
-            there = self._timed(shorter, duration, now.pricing, looks, below=worst)
+            there = self._timed(shorter, duration, now.pricing, course.looks, below=worst)
         return there, part
 
-    def _cleared(
-        self, now: _State, there: Timed, goal: Goal | None, looks: Looks, times_missed: float, price: float
-    ) -> Timed:  # fmt: skip
+    def _cleared(self, course: _Course, there: Timed) -> Timed:
         """The curve `there`, or one after a step that also keeps the clearances linearised at `there`.
 
         The step is tried if `there` costs less but misses too much, and its curve is taken if it is better.
         """
-        worst, worth = now.here.cost + price * now.here.missed, there.cost + price * there.missed
+        worst, worth = course.worth(course.now.here), course.worth(there)
         if not there.cost < worst <= worth:
             return there
         self.rounds += 1
-        again = self._step(now, goal, looks, times_missed, below=worst, beyond=there)
-        return there if again is None or again.cost + price * again.missed >= worth else again
+        again = self._step(course, below=worst, beyond=there)
+        return there if again is None or course.worth(again) >= worth else again
 
     def _bend_after(self, before: Timed, now: _State, goal: Goal | None, unit: float) -> Bend:
         """The model at the present curve from that at the curve `before`, which the state still has."""
@@ -363,13 +457,11 @@ class DescentOfCost(Descent):
         """The largest move of a control point from one curve to another [rad or m of the fastest joint]."""
         return float(np.max(np.abs(there.curve.control - here.curve.control) / self._unit))
 
-    def _step(
-        self, now: _State, goal: Goal | None, looks: Looks, times_missed: float, *, below: float,
-        beyond: Timed | None = None,
-    ) -> Timed | None:  # fmt: skip
+    def _step(self, course: _Course, *, below: float, beyond: Timed | None = None) -> Timed | None:
         """The curve after the best small step, see `_timed`; None if there is none. For `beyond` see `_model`."""
+        now, goal, looks = course.now, course.goal, course.looks
         model = self._model(now.here, goal, looks, now.box, beyond=beyond)
-        missed, longest = times_missed * MISSED_PRICE, now.pricing.longest
+        missed, longest = course.times_missed * MISSED_PRICE, now.pricing.longest
         x = model.best_step(missed, bend=now.bend, longest=longest, most_iterations=_ITERATIONS_BENT)
         if x is None:
             return None
