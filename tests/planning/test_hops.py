@@ -12,8 +12,9 @@ from one_joint_search import DURATION, END, START, ended_search
 
 import backhoe_planner as bp
 from backhoe_planner.machine import GRAVITY, Dynamics
-from backhoe_planner.motion import time_evenly
+from backhoe_planner.motion import drive_of, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.goals.cost_search import CostSearch
 from backhoe_planner.planning.multistart import refining
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
@@ -56,6 +57,7 @@ def hops(
         incumbent.best = replace(incumbent.best, cost=cost, curve=start.curve)
         return True
 
+    monkeypatch.setattr(search._descents, "bent_coarsely", lambda start: start)
     monkeypatch.setattr(search._descents, "descend", descend)
     monkeypatch.setattr(search._refining, "_refine", lambda *_: False)
     search._refining.run()
@@ -65,9 +67,9 @@ def hops(
 @pytest.mark.parametrize(
     ("millimetres", "gains", "count"),
     [
-        (39.0, (), 12),
-        (39.0, (0.005, 0.005), 12),  # half a per cent is no gain
-        (39.0, (0.0, 0.0, 0.05), 15),
+        (39.0, (), 4),
+        (39.0, (0.005, 0.005), 4),  # half a per cent is no gain
+        (39.0, (0.0, 0.0, 0.05), 7),
         (41.0, (), 0),
         (1.4, (), 0),  # finer curves suffice
         (1.6, (0.4,), 1),  # what is left counts as little
@@ -111,7 +113,25 @@ def test_every_other_hop_begins_at_the_most_folded_of_eight_curves(
 
     monkeypatch.setattr(found, "_beside", counted)
     hops(ended, monkeypatch, millimetres=39.0, gains=repeat(0.0))
-    assert counts == 6 * [8, 1]
+    assert counts == 2 * [8, 1]
+
+
+def test_with_few_joints_a_hop_descends_on_a_coarse_curve_first(ended: tuple[World, CostSearch]) -> None:
+    """What 6 pieces can do is a curve of 6 pieces; 12 pieces go on from there."""
+    world, search = ended
+    limits, incumbent = world.problem.limits, search._incumbent
+    assert incumbent.best is not None
+    aside = JointCurve.straight(START, END, 12).moved_aside(np.array([0.5, -0.5, 0.5, -0.5]), np.ones(4), limits)
+    start = Start(aside, incumbent.longest, incumbent.best.goal, "straight")
+    world.work.descent_rounds = 100
+    bent = search._descents.bent_coarsely(start)
+    assert bent.curve.pieces == 12
+    np.testing.assert_array_equal(bent.curve.control[0], START)
+    once = bent.curve.divided_evenly(6, limits).divided_evenly(12, limits)
+    np.testing.assert_allclose(once.control, bent.curve.control, atol=1e-9)
+    own_time = OwnTime(world.problem, drive_of(world.problem))
+    before, after = (own_time.cost(one, incumbent.longest, width=1e-9) for one in (aside, bent.curve))
+    assert after < 0.5 * before
 
 
 def test_a_stretched_arm_reaches_its_length_and_a_folded_one_less(ended: tuple[World, CostSearch]) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -185,6 +186,18 @@ class CostDescents(MotionDescents):
             if np.min(np.max(np.abs(ends - start.curve.control[-1]) / own, axis=1)) > apart:
                 self._descend_judged(cost, start)
                 return
+
+    def bent_coarsely(self, start: Start) -> Start:
+        """The start after a whole descent on a coarse curve, which goes on on its own pieces."""
+        curve = start.curve.divided_evenly(_COARSE_PIECES, self._problem.limits)
+        options = Options(
+            self._most_rounds, SPARE, density=1, box=FIRST_BOX, is_hopeless=partial(self._is_hopeless, looks=()),
+            longest=self._longest(start.duration), unsampled=True, rough=True,
+        )  # fmt: skip
+        found = self.rounds.run(curve, start.duration, start.goal, options, coarse_in_one=_COARSE_IN_ONE)
+        if found is None:
+            return start
+        return replace(start, curve=found.curve.divided_evenly(start.curve.pieces, self._problem.limits))
 
     def _few_rounds(
         self, start: Start, rounds: int, *, gives_up: GivesUp, density: int = 1, clear_first: bool = False
