@@ -11,9 +11,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bar_scenes import STRETCHED as STRAIGHT
+from bar_scenes import TURNED, across_bar
 
 import backhoe_planner as bp
-from backhoe_planner.planning import blend, plan_motion, sample_path
+from backhoe_planner.planning import (
+    OutOfTime,
+    Reach,
+    Roadmap,
+    SampledCheck,
+    blend,
+    joint_time,
+    plan_motion,
+    sample_path,
+)
 from backhoe_planner.planning.search import effort
 from backhoe_planner.planning.stretches import dynamic_programming, smoothing
 from backhoe_planner.proof import LeastTimes
@@ -160,6 +171,21 @@ def test_only_the_computing_time_of_the_thread_uses_up_a_budget(monkeypatch: pyt
     for computed, is_used_up in ((2.0, False), (4.0, True)):
         now |= {"monotonic": 150.0, "thread_time": 1.0 + computed}
         assert brake.is_used_up() is is_used_up
+
+
+def test_the_budget_ends_the_search_for_the_cheapest_route_through_a_roadmap(
+    planar4: bp.Robot, clock: HandSetClock
+) -> None:
+    """No route costs as little as nothing, so no motion is checked meanwhile."""
+    problem, proximity = across_bar(planar4)
+    price = joint_time(problem.limits.velocity)
+    reach, brake = Reach(problem.limits, STRAIGHT, TURNED[None, :]), effort.Brake(5.0)
+    check = SampledCheck(problem, proximity, [STRAIGHT, TURNED], spare=0.0, brake=brake)
+    roadmap = Roadmap(check, reach, nodes=50, rng=np.random.default_rng(0), price=price)
+    assert list(roadmap.ways(dearest=0.0)) == []
+    clock.now = 6.0
+    with pytest.raises(OutOfTime):
+        list(roadmap.ways(dearest=0.0))
 
 
 # --- sequences ----------------------------------------------------------------------

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
+from machines import Axis, load_chain
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
@@ -131,6 +133,20 @@ def test_a_cost_of_upward_motion_is_avoided(planar4: bp.Robot) -> None:
     cheap = [float(np.sum(price(one.q[:-1], one.q[1:]))) for one in itertools.islice(plain.ways(), 6)]
     assert float(np.sum(price(way.q[:-1], way.q[1:]))) <= min(cheap)
     assert raised(way) < 0.3
+
+
+def test_a_joint_limit_is_one_configuration_of_a_roadmap(tmp_path: Path) -> None:
+    """With one joint from 0 to 1 m, a quarter or so of what is drawn lies at the limit where the motion begins."""
+    robot = load_chain(tmp_path, [Axis("prismatic", "0 0 1", 0.0, 1.0)], ball=0.1)
+    start, end = np.zeros(1), np.array([0.5])
+    problem = problem_of(robot, start, end, [])
+    check = SampledCheck(problem, Proximity(robot, []), [start, end], spare=0.0)
+    price = joint_time(problem.limits.velocity)
+    reach = Reach(problem.limits, start, end[None, :], 2.0)
+    roadmap = Roadmap(check, reach, nodes=400, rng=np.random.default_rng(0), price=price)
+    drawn = roadmap._q[2:, 0]  # without the start and the end
+    assert np.count_nonzero(drawn == 0.0) == 1
+    assert len(np.unique(drawn)) == len(drawn)
 
 
 @pytest.mark.long

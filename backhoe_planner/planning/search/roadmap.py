@@ -45,6 +45,12 @@ def joint_time(rate: Vector) -> Price:
     return price
 
 
+def _distinct(q: Matrix) -> Matrix:
+    """(M, n) configurations (N, n), each once: with one joint, many of those that are drawn are the same limit."""
+    _, first = np.unique(q, axis=0, return_index=True)
+    return q[np.sort(first)]
+
+
 class Roadmap:
     """A roadmap from a start to several ends.
 
@@ -66,7 +72,7 @@ class Roadmap:
         self._rate = reach.limits.velocity
         self._ends = np.arange(1, 1 + len(reach.ends))
         places = [way[reach.holds(way)] for way in known]
-        self._q = np.vstack((reach.start, reach.ends, *places, *self._draw(nodes, rng)))
+        self._q = np.vstack((reach.start, reach.ends, *places, _distinct(np.vstack(self._draw(nodes, rng)))))
         self._near = np.zeros(len(self._q), dtype=bool)  # to known routes
         for way in known:
             self.avoid(way)
@@ -206,11 +212,16 @@ class Roadmap:
         """(N,) the least cost between every node and any of `roots`, and the next node on that route."""
         cost = np.full(len(self._q), np.inf)
         cost[roots] = 0.0
-        while True:  # Bellman and Ford, all nodes at once
-            less = np.minimum(cost, (cost[self._joined] + step).min(axis=1))
-            if (less >= cost).all():
-                break
-            cost = less
+        changed = roots
+        while len(changed):  # Bellman and Ford, all nodes at once that are joined to one whose cost became less
+            self._check.brake.check()
+            beside = np.zeros(len(cost), dtype=bool)
+            beside[self._joined[changed]] = True
+            nodes = np.flatnonzero(beside)
+            least = (cost[self._joined[nodes]] + step[nodes]).min(axis=1)
+            less = least < cost[nodes]
+            changed = nodes[less]
+            cost[changed] = least[less]
         slot = np.argmin(cost[self._joined] + step, axis=1)
         return cost, self._joined[np.arange(len(slot)), slot]
 
