@@ -174,8 +174,12 @@ def explain(
         if detail["type"] == "extra_forbidden":
             record = record_at(detail["loc"], root, tagged)
             keys = sorted(fields_of(record))
-            meant = meant_by(str(place[-1]), _at(place[:-1], content), record)
-            what = f"there is no such key{_meant(meant)} Allowed: {', '.join(keys)}"
+            meant, at_top = meant_by(str(place[-1]), _at(place[:-1], content), record), False
+            if meant is None or meant in keys:  # the same key elsewhere is more likely than a similar one here
+                around = _same_key_around(detail["loc"], content, root, tagged)
+                meant, at_top = (meant, False) if around is None else (_spell(around), len(around) == 1)
+            hint = _meant(meant, at_top=at_top)
+            what = f"there is no such key{hint} Allowed: {', '.join(keys)}"
         elif detail["type"].startswith("union_tag"):
             what = _wrong_tag(detail, tagged)
         elif detail["type"] == "tuple_type" and detail["input"] is not None:
@@ -272,8 +276,23 @@ def _wrong_tag(detail: Any, tagged: Mapping[str, type[BaseModel]]) -> str:
     return f"there is no {key} {tag!r}{_meant(nearest_name(tag, choices))} Allowed: {', '.join(choices)}"
 
 
-def _meant(name: str | None) -> str:
-    return f"; did you mean {name!r}?" if name else "."
+def _meant(name: str | None, *, at_top: bool = False) -> str:
+    return f"; did you mean {name!r}{' at the top level' if at_top else ''}?" if name else "."
+
+
+def _same_key_around(
+    loc: tuple[str | int, ...], content: Any, root: type[BaseModel], tagged: Mapping[str, type[BaseModel]]
+) -> KeyPath | None:
+    """The place of the last key of `loc` in the nearest record around that may have it and has not; None if none is."""
+    key = loc[-1]
+    for end in range(len(loc) - 1, 0, -1):
+        place = _place_in_file(loc[:end], content, missing=False)
+        is_key = isinstance(loc[end - 1], str) and len(place) > len(
+            _place_in_file(loc[: end - 1], content, missing=False)
+        )
+        if is_key and key in fields_of(record_at(loc[:end], root, tagged)) and key not in _at(place[:-1], content):
+            return (*place[:-1], key)
+    return None
 
 
 def _of_one_kind(details: list[Any]) -> list[Any]:

@@ -275,6 +275,22 @@ BAD: dict[str, tuple[Data, list[str]]] = {
         ["goal: there is no such key; did you mean 'task.goal'?"],
     ),
     "speed outside its path": (scene(speed=0.3), ["speed: there is no such key; did you mean 'task.path.speed'?"]),
+    "objective inside its goal": (
+        goal(objective="work"),
+        ["task.goal.objective: there is no such key; did you mean 'objective' at the top level? Allowed: "],
+    ),
+    "objective in two places": (
+        goal(objective="work") | {"objective": "work"},
+        ["task.goal.objective: there is no such key. Allowed: "],
+    ),
+    "duration inside its goal": (
+        goal(max_duration=3.0),
+        ["task.goal.max_duration: there is no such key; did you mean 'task.max_duration'? Allowed: "],
+    ),
+    "payload inside the goal of a leg": (
+        scene(task={"sequence": [{"name": "a", "goal": [{"position": [3.0, 0.0, 1.0], "payload": 3.0}]}]}),
+        ["task.sequence[0].goal[0].payload: there is no such key; did you mean 'task.sequence[0].payload'? Allowed: "],
+    ),
     "key with many places": (scene(pitch=0.3), ["pitch: there is no such key. Allowed"]),
     "key with many places, spelt nearly as another": (
         scene(task={"pitch": 0.3, "goal": {"position": [1.0, 0.0, 0.0]}}),
