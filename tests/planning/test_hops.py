@@ -84,6 +84,22 @@ def test_hops_end_after_some_without_a_gain(
     assert len(begun) == count
 
 
+def test_hops_leave_the_rounds_that_finer_curves_had(
+    ended: tuple[World, CostSearch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three hops of 30 rounds each use the 90 rounds that are added for them."""
+    work = ended[0].work
+    monkeypatch.setattr(work, "descent_rounds", 50)
+
+    def spent() -> Iterator[float]:
+        while True:
+            work.descent_rounds -= 30
+            yield 0.0
+
+    assert len(hops(ended, monkeypatch, millimetres=39.0, gains=spent())) == 3
+    assert work.descent_rounds == ended[1]._descents.rounds.left == 50
+
+
 def test_each_hop_is_from_beside_the_best_motion_so_far(
     ended: tuple[World, CostSearch], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -105,6 +105,7 @@ class Refining:
         if best is None or self._work.effort.is_hurried:
             return
         self._hop()
+        self._descents.rounds.reserve(0)
         best = self._best()
         self._coarse = best.cost
         others = [] if best.cost <= self._little else self._nearly_as_cheap(best)
@@ -129,13 +130,15 @@ class Refining:
             return
         if not _HOPPED[0] * lift.little < self._best().cost <= _HOPPED[1] * lift.little:
             return
+        rounds = self._descents.rounds
+        rounds.reserve(max(rounds.left, 0))  # hops have rounds of their own, and finer curves need theirs
         work.add_rounds("hop_rounds")
         few = problem.robot.n <= _FEW_JOINTS
         drawn, patience = (_DRAWN, _DULL) if few else (_DRAWN_OF_MANY, _DULL_OF_MANY)
         rng, dull = np.random.default_rng(self._seed), 0
         for most, count in itertools.islice(itertools.cycle(itertools.product(_ASIDE, drawn)), _HOPS):
             best = self._best()
-            if best.curve is None or best.cost <= self._little or self._descents.rounds.left_of_cost < FINE_ROUNDS:
+            if best.curve is None or best.cost <= self._little or rounds.left_of_cost < FINE_ROUNDS:
                 return
             beside = self._beside(best.curve, most, rng, count)
             start = Start(beside, self._descents.incumbent.longest, best.goal, best.way)
