@@ -13,7 +13,7 @@ import backhoe_planner as bp
 from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Timed
+from backhoe_planner.planning.descent.descent import Options, Timed
 from backhoe_planner.planning.descent.margins import Margins
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.multistart.refining import Refining
@@ -126,3 +126,19 @@ def test_a_motion_that_costs_nothing_is_not_refined(backhoe: bp.Robot, monkeypat
     plan = bp.plan(backhoe, bp.scene_from_dict(content | {"task": {"goal": goal}}), seed=3)
     assert plan.verified, plan.message
     assert 0.0 <= plan.metrics.energy["work"] < 1e-9
+
+
+@pytest.mark.parametrize(("millimetres", "rough"), [(0.9, True), (1.1, False)])
+def test_a_motion_that_costs_little_is_not_refined_to_the_last(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, millimetres: float, rough: bool
+) -> None:
+    world, _, search = ended_search(planar4)
+    masses, _ = Dynamics(planar4).bodies()
+    curve = JointCurve.straight(START, END, 12)
+    cost = millimetres * 1e-3 * GRAVITY * float(np.sum(masses))
+    search._incumbent.best = FoundMotion(time_evenly(curve, DURATION), cost, world.problem.goals[0], "straight", curve)
+    search._descents.ended.clear()
+    asked: list[Options] = []
+    monkeypatch.setattr(search._descents.rounds, "run", lambda *at, **_: asked.append(at[3]))
+    search._refining.run()
+    assert [options.rough for options in asked] == [rough]

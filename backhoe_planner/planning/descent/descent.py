@@ -87,7 +87,7 @@ class Options:
 
     unsampled: whether the motion may break limits between the places where a step keeps them, and its cost may be
         inexact; to correct both takes as long as two rounds.
-    rough: whether the descent ends at larger gains, because a finer curve continues from its end.
+    rough: whether the descent ends at larger gains, because a finer curve continues from its end or the cost is little.
     clear_first: whether misses cost much more than usual, so that the curve gets out of an obstacle that
         is cheap to go through.
     fine: whether the cost is evaluated at more places; for the last descents.

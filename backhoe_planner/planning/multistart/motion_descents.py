@@ -126,9 +126,17 @@ class MotionDescents(ABC):
             spare, density = spare + _MORE_SPARE, 2 * density
         return False
 
-    def descend_finely(self, found: FoundMotion, curve: JointCurve, duration: float, rounds: int) -> None:
-        """Run a descent from a motion on a finer curve over a duration [s], and keep the result if it is better."""
-        options = Options(rounds, SPARE, density=2, box=SMALL_BOX, longest=self._longest(duration), fine=True)
+    def descend_finely(
+        self, found: FoundMotion, curve: JointCurve, duration: float, rounds: int, *, rough: bool = False
+    ) -> None:  # fmt: skip
+        """Run a descent from a motion on a finer curve over a duration [s], and keep the result if it is better.
+
+        Parameters
+        ----------
+        rough: see `Options`.
+        """
+        longest = self._longest(duration)
+        options = Options(rounds, SPARE, density=2, box=SMALL_BOX, longest=longest, fine=True, rough=rough)
         fine = self.rounds.run(curve, duration, found.goal, options)
         if fine is not None and fine.missed <= SPARE:  # the proof decides: a descent may end with less spare
             self.incumbent.offer(replace(found, motion=fine.motion, cost=fine.cost, curve=self._even_curve(fine)))
