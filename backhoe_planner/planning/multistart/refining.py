@@ -39,10 +39,10 @@ _HOPS, _HOP_GAINS = 24, 0.01  # at most, and the part of the cost that counts as
 # many hops in a row without a gain they end. Every other hop is made as it is drawn, as on one site of six the machine
 # has to reach out. Measured on 63 sites with 88 random hops from each motion: 0.85 (backhoe) and 0.89 (telescope) of
 # the cost is left after twelve then, 0.84 and 0.88 if all are chosen, and 0.87 and 0.93 if none is; to choose by
-# moments of inertia or by potential energy gains no more. They descend on a coarse curve first: 0.98 of the cost in
-# half of the time on 35 sites, as one of three gains something then and not one of 22. With 4 or 8 pieces it is 1.03
-# and 1.00 of the cost, and six hops without a gain find no more than four
-_FEW_JOINTS, _DRAWN, _DULL = 5, (8, 1), 4
+# moments of inertia or by potential energy gains no more. They descend on a coarse curve first: as much of the cost is
+# left after half of the hops. With 4 or 8 pieces it is 1.03 and 1.00 of that, and with four hops without a gain
+# it is the same in the mean, but one of 60 sites costs 1.7 times as much
+_FEW_JOINTS, _DRAWN, _DULL = 5, (8, 1), 6
 # the same with more joints: of 128 hops of seven joints as they are drawn none gains. On 42 plans of the Panda three
 # cost 0.80 to 0.83 times as much with these, in 1.02 of the time, and with twelve without a gain it is 1.26. A coarse
 # curve first gains no more, and takes longer
