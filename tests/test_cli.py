@@ -85,6 +85,15 @@ def test_plan_and_check_print_the_reached_goal_and_the_margin_of_keep(run: Run, 
     assert content["keep"][0]["margin"] == pytest.approx(1.0)
 
 
+def test_the_tolerance_of_a_goal_is_printed_beside_the_error_that_it_allows(run: Run, tmp_path: Path) -> None:
+    goal = {**REACH["task"]["goal"], "tolerance": 0.1}
+    for task, allows in (({"goal": goal}, True), (REACH["task"], False)):
+        planned = run("plan", PLANAR4, scene_file(tmp_path, {**REACH, "task": task}), "-o", "out.json", *QUICK)[1]
+        for said in (planned, run("check", "out.json")[1]):
+            line = next(line for line in said.splitlines() if line.startswith("tip error"))
+            assert line.endswith(" mm at most, the goal allows 100 mm" if allows else " mm at most")
+
+
 def test_rows_of_a_sequence_name_their_leg_and_show_its_own_objective(run: Run, tmp_path: Path) -> None:
     legs: list[Data] = [
         {"name": "out", "goal": {"joints": {**JOINTS, "joint1": 0.4}}, "objective": "kinetic", "max_duration": 20.0,
@@ -671,6 +680,16 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
     assert not said
     assert errors.startswith("Usage: ")
     assert "teleop" in errors
+
+
+def test_an_option_that_is_a_key_of_the_scene_is_told_where_it_belongs(run: Run, tmp_path: Path) -> None:
+    told = "objective is a key of the scene file"
+    status, _, error = run("plan", PLANAR4, scene_file(tmp_path), "--objective", "work")
+    assert (status, told in error) == (2, True)
+    assert "payload_at is a key" in run("plan", PLANAR4, scene_file(tmp_path), "--payload-at", "0")[2]
+    status, _, error = run("plan", PLANAR4, scene_file(tmp_path), "--speed", "1")
+    assert (status, "is a key" in error) == (2, False)  # its place in the scene is another
+    assert told not in run("job", "job.yaml", "--objective", "work")[2]
 
 
 def test_the_version_is_printed_and_the_help_cuts_no_sentence(run: Run) -> None:

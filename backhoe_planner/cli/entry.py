@@ -43,6 +43,8 @@ COMMANDS = {
     )
 }
 
+_WITH_SCENE = ("plan", "inspect", "teleop")  # commands that take a scene
+
 
 def _print_version(wanted: bool) -> None:
     if wanted:
@@ -111,7 +113,7 @@ def main() -> NoReturn:
     except Exception as error:
         if not _is_usage_error(error):
             raise
-        message = error.format_message()  # type: ignore[attr-defined]
+        message = f"{error.format_message()}{_where_instead(error, sys.argv[1:])}"  # type: ignore[attr-defined]
         if type(error).__name__ == "NoArgsIsHelpError":  # typer has its own copy of click, and does not export it
             ERR.print(message)
         else:
@@ -143,6 +145,14 @@ def _output_lost(error: OSError) -> int:
         return UNREAD
     print_error(f"the output cannot be written: {error.strerror}")
     return BAD_INPUT
+
+
+def _where_instead(error: Exception, arguments: Sequence[str]) -> str:
+    """A hint that an unknown option of a command that takes a scene is a key of the scene file; empty otherwise."""
+    key = str(getattr(error, "option_name", "")).removeprefix("--").replace("-", "_")
+    if set(arguments).isdisjoint(_WITH_SCENE) or key not in bp.Scene.model_fields:
+        return ""
+    return f" ({key} is a key of the scene file: docs/scene-file.md)"
 
 
 def _is_usage_error(error: Exception) -> bool:

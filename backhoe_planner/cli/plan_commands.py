@@ -30,10 +30,21 @@ def plan(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Plan file to write.")] = Path(
         "plan.json"
     ),
-    method: Annotated[str, typer.Option(help="auto, reactive, optimal or paper.")] = "auto",
-    seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
+    method: Annotated[
+        str,
+        typer.Option(
+            help="auto searches for the best motion, and follows the local law if it finds none; optimal searches "
+            "only; reactive is the completed law alone, paper the law as printed."
+        ),
+    ] = "auto",
+    seed: Annotated[int, typer.Option(help="Of every random choice: another one may find another motion.")] = 0,
     effort: Annotated[
-        str, typer.Option(help="quick, normal or thorough: bounds the search, in counted work.")
+        str,
+        typer.Option(
+            help="quick, normal or thorough: how much is searched, in counted work. quick tells soon whether there is "
+            "a motion; normal finds better ones; thorough is for motions that are used often, as it takes several "
+            "times as long."
+        ),
     ] = "normal",
     budget: Annotated[
         float | None,

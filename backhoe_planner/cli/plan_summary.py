@@ -35,7 +35,7 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     if found.message:
         OUT.print(f"  {found.message}")
     metrics = found.metrics
-    moves = _has_motion(found)
+    moves = found.has_motion
     # if there is no motion and the start is not given by joints, the plan only has the posture that came nearest
     if moves or found.problem.start_q is not None:
         _print_clearances(found.certificate, moves=moves)
@@ -47,11 +47,6 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     if found.advice:
         OUT.print(f"              {found.advice}")
     OUT.print(f"plan          {output}")
-
-
-def _has_motion(found: bp.Plan) -> bool:
-    """Whether a plan has a motion: one of 0 s on the goal counts, a configuration that came nearest does not."""
-    return len(found.trajectory) > 1 or found.verified
 
 
 def _print_clearances(certificate: bp.Certificate, *, moves: bool) -> None:
@@ -104,9 +99,9 @@ def _print_tracking_error(found: bp.Plan) -> None:
 
 
 def _print_goal(found: bp.Plan) -> None:
-    """Print which of several goals is reached; nothing if there is only one, or a path."""
+    """Print which of several goals is reached; nothing if there is only one, a path, or no motion."""
     goals, number = found.problem.goals, found.certificate.goal
-    if len(goals) > 1 and number is not None:
+    if found.has_motion and len(goals) > 1 and number is not None:
         OUT.print(f"goal          {number} of {len(goals)} is reached")
 
 
@@ -129,7 +124,7 @@ def _print_motion(found: bp.Plan) -> None:
     _print_goal(found)
     _print_keep(found)
     if planning.has_tip_error(found):
-        OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{_angle_error(found)} at most")
+        OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{_angle_error(found)} at most{_tolerated(found)}")
     for detour in metrics.detours:
         where = f"leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m"
         if detour.path_to - detour.path_from < _SAME_PLACE:
@@ -159,7 +154,7 @@ def _print_motion(found: bp.Plan) -> None:
 
 def print_certificate(plan: bp.Plan) -> None:
     """Print what is proven about a plan, row by row."""
-    certificate, moves = plan.certificate, _has_motion(plan)
+    certificate, moves = plan.certificate, plan.has_motion
     print_verdict("" if certificate.verified else f"not verified: {plan.reason}")
     if not certificate.verified:
         if plan.failure and plan.note:
@@ -190,7 +185,8 @@ def print_certificate(plan: bp.Plan) -> None:
         _print_goal(plan)
         _print_keep(plan)
         if moves and planning.has_tip_error(plan):
-            OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm{_angle_error(plan)} at most")
+            error = f"{1e3 * certificate.tracking.max_error:.3f} mm{_angle_error(plan)}"
+            OUT.print(f"{'tip error':<13}{error} at most{_tolerated(plan)}")
         _print_left_out(certificate.tracking)
     speed = certificate.tip_speed
     if speed is not None:
@@ -325,3 +321,9 @@ def _angle_error(found: bp.Plan) -> str:
     """How far the tip is turned from the required orientation, in words; empty if no angle is required."""
     error = planning.angle_error(found)
     return "" if error is None else f", {DEGREES * error:.2f} deg"
+
+
+def _tolerated(found: bp.Plan) -> str:
+    """The tolerance of the goal that is reached, in words; empty if it has none."""
+    tolerance = planning.goal_tolerance(found)
+    return "" if tolerance is None else f", the goal allows {1e3 * tolerance:g} mm"

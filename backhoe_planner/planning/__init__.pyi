@@ -27,6 +27,7 @@ from .report.quantities import describe_excess as describe_excess
 from .report.quantities import describe_least_cost as describe_least_cost
 from .report.quantities import describe_quantity as describe_quantity
 from .result.angle_error import angle_error as angle_error
+from .result.angle_error import goal_tolerance as goal_tolerance
 from .result.angle_error import has_tip_error as has_tip_error
 from .result.bound import Bound as Bound
 from .result.export import TIP_COLUMNS as TIP_COLUMNS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 import weakref
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -240,6 +241,21 @@ def test_a_leg_with_a_tip_speed_reports_no_allowed_time(planar4: bp.Robot) -> No
     assert slow.findings.allowed_time is None
     assert free.findings.allowed_time is not None
     assert free.metrics.duration <= free.findings.allowed_time
+
+
+def test_a_limit_of_the_planner_that_a_motion_takes_whole_names_the_key_that_sets_another(planar4: bp.Robot) -> None:
+    content: dict[str, Any] = {
+        "version": 1, "start": {"joints": {f"joint{k}": 0.1 for k in (1, 2, 3, 4)}}, "objective": "kinetic",
+        "task": {"goal": {"joints": {f"joint{k}": 0.2 for k in (1, 2, 3, 4)}}},
+    }  # fmt: skip
+    plan = bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
+    T = plan.trajectory.duration
+    said = [
+        replace(plan, findings=plan.findings.model_copy(update={"allowed_time": longest})).allowed_time
+        for longest in (T, 2.0 * T)
+    ]
+    assert said[0] == f"at most {T:.2f} s was allowed by the planner, which limits it: max_duration may allow more"
+    assert said[1] == f"at most {2.0 * T:.2f} s was allowed by the planner"
 
 
 @pytest.mark.long

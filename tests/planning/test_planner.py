@@ -263,6 +263,17 @@ def test_a_link_that_cannot_leave_an_obstacle_is_reported_with_the_links_that_ca
     assert "; swing alone moves swing_post, which touches it too: if that belongs there" in messages[2]
 
 
+def test_an_obstacle_far_deeper_than_any_machine_is_asked_for_in_metres(backhoe: bp.Robot) -> None:
+    """A box of 90 m around the machine, whose size may be in millimetres: its nearest face is 45 m from its centre."""
+    posture = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    box = {"name": "box", "shape": "box", "size": [90.0, 90.0, 90.0], "position": [0.0, 0.0, 0.0]}
+    task = {"goal": {"joints": posture | {"swing": 0.5}}}
+    content = {"version": 1, "start": {"joints": posture}, "task": task, "obstacles": [box]}
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert plan.reason == "start_in_collision"
+    assert plan.message.endswith(" m inside box (positions and sizes are in metres)")
+
+
 def test_a_start_in_collision_is_reported_with_its_depth(planar4: bp.Robot) -> None:
     """The ball's centre is 0.1 m from the axis of link 3: 0.06 m outside, so 0.14 m of the radius are inside."""
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.1, 0.2)]), effort="quick")

@@ -288,6 +288,29 @@ def test_a_plan_of_one_sample_has_a_page(backhoe: Robot) -> None:
     assert '"Tip error"' not in page
 
 
+def test_the_page_of_a_posture_that_breaks_keep_says_of_no_goal_that_it_is_reached(
+    backhoe: Robot, tab: Tab, tmp_path: Path
+) -> None:
+    """It is the posture on the second of two goals, where the pitch is -1.2 rad: 0.1 rad, or 5.7 degrees, too low."""
+    plan = the_plan(backhoe, verified=False)
+    end = {"joints": dict(zip(backhoe.joint_names, END, strict=True))}
+    task = {"goal": [{"position": [4.0, -1.0, 1.0]}, end], "keep": {"pitch": [-1.1, -0.5]}}
+    problem = build_problem(backhoe, scene_from_dict(plan.scene.to_dict() | {"task": task}))
+    trajectory = Trajectory.from_steps(np.zeros(1), np.array([END]))
+    certificate = certify_problem(problem, trajectory)
+    assert certificate.goal == 2
+    metrics = measure_motion(problem, trajectory, certificate)
+    shown = replace(plan, problem=problem, trajectory=trajectory, certificate=certificate, metrics=metrics)
+    write_page(replace(shown, failure="goal_breaks_keep"), tmp_path / "plan.html")
+    tab.open((tmp_path / "plan.html").as_uri())
+    facts = tab.page.locator("#facts").inner_text()
+    assert "Motion\nnone" in facts
+    assert "Goal reached" not in facts
+    assert "whole motion" not in facts
+    assert tab.page.locator("#names .reached").count() == 0
+    assert tab.page.locator("#kept .value").inner_text() == "\u22125.7°"
+
+
 def test_the_live_view_shows_steps_and_then_the_plan(backhoe: Robot, tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = the_plan(backhoe)
     given = plan.scene.to_dict()

@@ -15,6 +15,12 @@ def angle_error(plan: Plan) -> float | None:
     return tracking.max_angle_error
 
 
+def goal_tolerance(plan: Plan) -> float | None:
+    """How far from its position the reached goal lets the tip end [m]; None without a `tolerance`, and for a path."""
+    number = plan.certificate.goal
+    return plan.problem.goals[number - 1].tolerance if number else None
+
+
 def has_tip_error(plan: Plan) -> bool:
     """Whether the tip's error says something: of a sequence that is not done it is the way to the next goal."""
     return plan.certificate.tracking.done or not plan.problem.legs

@@ -165,6 +165,11 @@ class Plan:
         return "verified" if self.verified else "failed"
 
     @property
+    def has_motion(self) -> bool:
+        """Whether there is a motion: one of 0 s on the goal counts, a configuration that came nearest does not."""
+        return len(self.trajectory) > 1 or self.verified
+
+    @property
     def reason(self) -> Reason:
         """Why the plan failed: the planner's reason, otherwise what the certificate shows; empty if verified."""
         if self.verified:
@@ -206,14 +211,17 @@ class Plan:
     def allowed_time(self) -> str:
         """How long the motion was allowed to take and by whom, in words, and whether it takes all of that.
 
-        Empty if the time is minimised. Otherwise a slower motion mostly costs less, and the planner sets a limit.
+        If it does, and the planner set that time, the key of the scene that may allow more is named. Empty if the time
+        is minimised. Otherwise a slower motion mostly costs less, and the planner sets a limit.
         """
         longest = self.findings.allowed_time
         if longest is None:
             return ""
         binds = self.trajectory.duration >= _BINDS * longest
-        by = "max_duration" if longest >= self.problem.max_duration else "the planner"
-        return f"at most {longest:.2f} s was allowed by {by}" + ", which limits it" * binds
+        by_scene = longest >= self.problem.max_duration
+        by = "max_duration" if by_scene else "the planner"
+        more = "" if by_scene else ": max_duration may allow more"
+        return f"at most {longest:.2f} s was allowed by {by}" + f", which limits it{more}" * binds
 
     @property
     def settings(self) -> str:

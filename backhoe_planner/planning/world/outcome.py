@@ -25,6 +25,7 @@ _NEAR = 0.01  # m: a smaller distance is printed in millimetres
 _TURN, _GAP = 2.0 * np.pi, 0.25  # rad: one turn, and the gap between found pitches that counts as out of reach; chosen
 _STARTS_BETWEEN, _HALVINGS = 10, 4  # of a pitch in such a gap, and how often a gap is halved; chosen
 _STARTS_ALONE = 60  # starting points of the inverse kinematics of a position without its orientation; chosen, 40 ms
+_DEEP = 20.0  # m inside an obstacle, beyond which it was probably given in other units; chosen
 _MILLIMETRES = 100.0  # m out of reach, beyond which a position was probably given in other units; chosen
 _SMALL = 1e-6  # m and rad: chosen, far below what a message shows
 
@@ -113,6 +114,8 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     if contact is not None and contact.margin < 0.0:
         hint = _only_swung(world, contact, q, time)
         moved = "" if hint and _joints_of(world, contact.link) == {1} else _moved(world, q, time)
+        if contact.kind == "obstacle" and contact.distance < -_DEEP:
+            moved, hint = "", " (positions and sizes are in metres)"
         message = f"at the {what} {contact.describe()}{moved}{hint}"
         reason: Reason = "start_in_collision" if starts else "goal_in_collision"
         return Outcome(stays, reason, message, Findings(obstruction=contact))

@@ -36,7 +36,7 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
     graph = SceneGraph(visualizer, problem, q=plan.trajectory.q[0])
     frames = frames.without(graph.drawn_as_one)
     graph.draw_trace(frames.tip)
-    goal = plan.certificate.goal if problem.goals else None
+    goal = plan.certificate.goal if problem.goals and plan.has_motion else None
     if goal is not None:
         graph.mark_goal(goal)
     view = graph.look_at_motion(frames)

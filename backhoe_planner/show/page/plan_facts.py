@@ -16,6 +16,7 @@ from backhoe_planner.planning import (
     describe_least_cost,
     describe_quantity,
     describe_saving,
+    goal_tolerance,
     has_tip_error,
 )
 from backhoe_planner.proof import KeepUse
@@ -35,15 +36,15 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
             remark = f"{tightest.link} to {tightest.obstacle} at {tightest.time:.1f} s{f', leg {leg}' * bool(leg)}; "
             remark += f"{_metres(tightest.distance)} m apart" + (f", {required:.2f} m required" * (required > 1e-9))
             facts.append((name, f"{_metres(tightest.margin)} m", remark))
-    least = "least over the whole motion, proven"
-    facts += [(f"Kept: {use.name}", f"{_left(use)} left", f"{least}; {use.words}") for use in certificate.keep]
-    if certificate.goal is not None and len(plan.problem.goals) > 1:
-        facts.append(("Goal reached", f"{certificate.goal} of {len(plan.problem.goals)}", ""))
-    if len(plan.trajectory) < 2 and not plan.verified:
+    least = "least over the whole motion, proven; " if plan.has_motion else ""
+    facts += [(f"Kept: {use.name}", f"{_left(use)} left", f"{least}{use.words}") for use in certificate.keep]
+    if not plan.has_motion:
         seen = "at the start" if plan.problem.start_q is not None else "that came nearest"
         facts.append(("Motion", "none", f"the picture shows the posture {seen}"))
         facts.append(("Planned in", f"{metrics.planning_time:.2f} s", plan.settings))
         return facts
+    if certificate.goal is not None and len(plan.problem.goals) > 1:
+        facts.append(("Goal reached", f"{certificate.goal} of {len(plan.problem.goals)}", ""))
     tracking = certificate.tracking
     if plan.failure and plan.problem.path is not None:
         got = f"{tracking.followed:.2f} m of {tracking.path_length:.2f} m"
@@ -54,7 +55,9 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     if not is_recording(plan) and not (plan.failure and plan.problem.goals) and has_tip_error(plan):
         turned = angle_error(plan)
         angle = "" if turned is None else f", {np.degrees(turned):.2f}\N{DEGREE SIGN}"
-        facts.append(("Tip error", f"{_length(tracking.max_error)}{angle}", mean))
+        tolerance = goal_tolerance(plan)
+        remark = mean if tolerance is None else f"the goal allows {_length(tolerance)}"
+        facts.append(("Tip error", f"{_length(tracking.max_error)}{angle}", remark))
     if certificate.detours:
         longest = max(detour.max_deviation for detour in certificate.detours)
         facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))

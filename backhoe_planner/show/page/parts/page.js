@@ -227,8 +227,9 @@ function show(recording) {
       one.value = element("span", "value");
       one.fill = element("div", "fill");
       one.most = Math.max(...one.margins, 1e-9);  // null, in legs that do not keep it, counts as 0
-      // of a narrow cone so many digits that a tenth of what is left shows
-      one.digits = Math.min(Math.max(Math.ceil(1 - Math.log10(one.most)), one.angular ? 1 : 2), 6);
+      // of a narrow cone so many digits that a tenth of what is left shows, or of what is missing if nothing is left
+      const largest = one.most > 1e-9 ? one.most : Math.max(...one.margins.map(Math.abs), 1e-9);
+      one.digits = Math.min(Math.max(Math.ceil(1 - Math.log10(largest)), one.angular ? 1 : 2), 6);
       bar.append(one.fill);
       row.append(element("span", "name", `${one.name} ${one.allowed}`), one.value, bar);
       rows.append(row);
