@@ -70,6 +70,7 @@ from .motion import build_problem as build_problem
 from .planning import AskedSpeed as AskedSpeed
 from .planning import Bound as Bound
 from .planning import DetourTotal as DetourTotal
+from .planning import FastMotion as FastMotion
 from .planning import Findings as Findings
 from .planning import LawComparison as LawComparison
 from .planning import Metrics as Metrics

@@ -94,6 +94,15 @@ def test_the_tolerance_of_a_goal_is_printed_beside_the_error_that_it_allows(run:
             assert line.endswith(" mm at most, the goal allows 100 mm" if allows else " mm at most")
 
 
+def test_the_saving_is_printed_if_another_cost_than_the_time_is_minimised(run: Run, tmp_path: Path) -> None:
+    for objective, prints in (("kinetic", True), ("time", False)):
+        scene = scene_file(tmp_path, {**REACH, "objective": objective})
+        status, said, _ = run("plan", PLANAR4, scene, "-o", "out.json", *QUICK)
+        assert status == 0
+        found = re.search(r"^saving +\d+ % less than a motion of [\d.]+ s, which takes [\d.]+ J s$", said, re.M)
+        assert (found is not None) == prints
+
+
 def test_rows_of_a_sequence_name_their_leg_and_show_its_own_objective(run: Run, tmp_path: Path) -> None:
     legs: list[Data] = [
         {"name": "out", "goal": {"joints": {**JOINTS, "joint1": 0.4}}, "objective": "kinetic", "max_duration": 20.0,

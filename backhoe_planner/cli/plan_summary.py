@@ -148,6 +148,8 @@ def _print_motion(found: bp.Plan) -> None:
         pump = f"{planning.describe_quantity(metrics.energy['hydraulic'], 'J')} (what the pump gives)"
         OUT.print(f"hydraulic     {pump}{_minimised(found, 'hydraulic')}")
     _print_cost(found)
+    if found.saving:
+        OUT.print(f"saving        {found.saving}")
     _print_comparison(metrics.objective)
     _print_asked_speed(metrics.asked_speed)
 

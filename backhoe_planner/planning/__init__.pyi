@@ -33,6 +33,7 @@ from .result.bound import Bound as Bound
 from .result.export import TIP_COLUMNS as TIP_COLUMNS
 from .result.export import export_plan as export_plan
 from .result.export import tip_poses as tip_poses
+from .result.findings import FastMotion as FastMotion
 from .result.findings import Findings as Findings
 from .result.findings import NearestPose as NearestPose
 from .result.findings import Reaction as Reaction

@@ -6,6 +6,7 @@ import gc
 import sys
 import weakref
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -256,6 +257,39 @@ def test_a_limit_of_the_planner_that_a_motion_takes_whole_names_the_key_that_set
     ]
     assert said[0] == f"at most {T:.2f} s was allowed by the planner, which limits it: max_duration may allow more"
     assert said[1] == f"at most {2.0 * T:.2f} s was allowed by the planner"
+
+
+def test_a_plan_of_least_cost_is_compared_with_the_fast_motion_from_which_its_search_began(
+    planar4: bp.Robot, tmp_path: Path
+) -> None:
+    """The least kinetic energy needs the slowest motion that is allowed, so it is below that of any fast one."""
+    content: dict[str, Any] = {
+        "version": 1, "start": {"joints": {f"joint{k}": 0.1 for k in (1, 2, 3, 4)}}, "objective": "kinetic",
+        "task": {"goal": {"joints": {f"joint{k}": 0.3 for k in (1, 2, 3, 4)}}},
+    }  # fmt: skip
+    plan = bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
+    fast, cost, bound = plan.findings.fast, plan.metrics.cost, plan.bound
+    assert fast is not None
+    assert cost is not None
+    assert bound is not None
+    assert bound.duration <= fast.duration < plan.metrics.duration
+    assert cost.value < fast.cost
+    plan.save(tmp_path / "plan.json")
+    assert bp.load_plan(tmp_path / "plan.json").findings.fast == fast
+
+    def saving(times: float) -> str:
+        other = bp.FastMotion(duration=2.0, cost=times * cost.value)
+        return replace(plan, findings=plan.findings.model_copy(update={"fast": other})).saving
+
+    assert saving(4.0).startswith("75 % less than a motion of 2.00 s, which takes ")
+    assert not saving(1.005)
+    assert not saving(0.5)
+    timed = bp.plan(planar4, bp.scene_from_dict(content | {"objective": "time"}), effort="quick")
+    assert timed.findings.fast is None
+    assert not timed.saving
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [9.0, 9.0, 0.0], "velocity": [0.0, 0.1, 0.0]}
+    moving = bp.plan(planar4, bp.scene_from_dict(content | {"obstacles": [ball]}), effort="quick")
+    assert moving.findings.fast is None
 
 
 @pytest.mark.long

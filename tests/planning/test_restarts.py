@@ -48,6 +48,7 @@ class Searches:
         self.freely: list[bool] = []
         self.looked_at = self.routes = 0
         self.best: FoundMotion | None = None
+        self.fast: FoundMotion | None = None
 
     def __call__(
         self, world: World, *_: Any, longest: float = math.inf, before: Any = None, earlier: Any = (),

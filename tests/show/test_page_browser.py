@@ -20,7 +20,7 @@ from waiting import PATIENCE
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Trajectory, build_problem
-from backhoe_planner.planning import Bound, ObjectiveCost, Plan, measure_motion
+from backhoe_planner.planning import Bound, FastMotion, Findings, ObjectiveCost, Plan, measure_motion
 from backhoe_planner.proof import certify_problem
 from backhoe_planner.show import Viewer, plan_page, write_page
 from backhoe_planner.site import Scene, scene_from_dict
@@ -163,7 +163,8 @@ def test_the_page_shows_the_bound_the_kept_ranges_and_the_reached_goal(
     metrics = measure_motion(problem, plan.trajectory, certificate).model_copy(
         update={"cost": ObjectiveCost(objective="kinetic", value=12345.0, unit="J s")}
     )
-    shown = replace(plan, problem=problem, certificate=certificate, metrics=metrics)
+    fast = Findings(fast=FastMotion(duration=3.0, cost=24690.0))
+    shown = replace(plan, problem=problem, certificate=certificate, metrics=metrics, findings=fast)
     vars(shown)["bound"] = bound  # in place of the computed one
     write_page(shown, tmp_path / "plan.html")
     tab.open((tmp_path / "plan.html").as_uri())
@@ -171,6 +172,7 @@ def test_the_page_shows_the_bound_the_kept_ranges_and_the_reached_goal(
     assert "no motion can take less than 2.50 s" in facts
     assert "longer" not in facts  # it is slow on purpose
     assert "kinetic 12.35 kJ s" in facts
+    assert "50 % less than a motion of 3.00 s, which takes 24.69 kJ s" in facts
     assert "Goal reached\n2 of 2" in facts
     assert "Kept: pitch\n5.73° left" in facts  # 0.1 rad at the end
     assert tab.page.locator("#names .reached").inner_text() == "goal 2, reached"

@@ -311,7 +311,7 @@ WITHOUT_UNIT = {  # a ratio, or a figure whose unit differs from plan to plan
     r"certificate\.limits\.\w+\.(?!time)\w+", r"certificate\.keep\.0\.(margin|value)", r"metrics\.joint_length",
     r".*\.(obstruction|law_breaks)\.(distance|margin)", r"findings\.detours\.0\.(distance|margin)",
     r"findings\.nearest\.q\.0", r"findings\.zones\.0\.depth", r"metrics\.(cost|objective)\.(value|law|whole)",
-    r"figures\.(pump|engine)",
+    r"figures\.(pump|engine)", r"findings\.fast\.cost",
 }  # fmt: skip
 
 
@@ -322,6 +322,7 @@ def test_every_figure_has_its_unit() -> None:
     for path in found:
         free = any(re.fullmatch(pattern, ".".join(path)) for pattern in WITHOUT_UNIT)
         assert free == (unit_of(path) == ""), path
+    assert unit_of(("findings", "fast", "cost"), "work") == "J"
 
 
 def docstrings_below(annotation: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], str]]:

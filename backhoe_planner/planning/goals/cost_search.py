@@ -61,6 +61,7 @@ class CostSearch(MotionSearch):
     ----------
     repeats: whether the search would begin only where an earlier one began, or where nothing promises a cheaper motion,
         or refine what an earlier one refined, and was ended therefore.
+    fast: the fastest motion with which the search began, proven clear; None if there is none.
     """
 
     _descents: CostDescents
@@ -86,6 +87,7 @@ class CostSearch(MotionSearch):
         if self._is_frugal:  # the cheapest starts of earlier searches are not tried again
             self._descents.know_of(one._descents for one in earlier)
         self.repeats = False
+        self.fast: FoundMotion | None = None
         self._for_time = (0, 0)  # motions looked at, and routes found, by searches for a fast motion
 
     def _begin_descents(self, before: CostDescents | None = None) -> None:
@@ -201,7 +203,8 @@ class CostSearch(MotionSearch):
             if found.fastest is not None:
                 ended.append(found.fastest)
                 self._incumbent.longest = min(self._incumbent.longest, found.allowed_time)
-                self._incumbent.offer(replace(found.fastest, cost=motion_cost(self._problem, found.fastest.motion)))
+                self.fast = replace(found.fastest, cost=motion_cost(self._problem, found.fastest.motion))
+                self._incumbent.offer(self.fast)
         return ended
 
     def _find_any(self, turn: int) -> int:

@@ -16,7 +16,7 @@ from backhoe_planner.planning.goals.searches import Searched, search_motion
 from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.planning.result.findings import Findings
+from backhoe_planner.planning.result.findings import FastMotion, Findings
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture
@@ -69,7 +69,12 @@ class ToGoal:
             allowed = searched.allowed_time
             if allowed is not None:
                 allowed = min(stepper.time + allowed, world.problem.max_duration)
-            findings = Findings(way=best.way, allowed_time=allowed, left_out=found.left_out)
+            # beside obstacles that move, or with a limit of the tip's speed, it would not be as fast
+            fast = None if world.problem.is_dynamic or world.problem.tip_speed is not None else searched.fast
+            findings = Findings(
+                way=best.way, allowed_time=allowed, left_out=found.left_out,
+                fast=None if fast is None else FastMotion(duration=fast.motion.duration, cost=fast.cost),
+            )  # fmt: skip
             return Outcome(branch.trajectory(), message=message, findings=findings)
         sampled = _describe_search(world, searched)
         if self.search_alone or ended:

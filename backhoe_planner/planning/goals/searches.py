@@ -51,6 +51,7 @@ class Searched:
     looked_at: how many motions the first search checked in samplings that found no route.
     routes: how many routes it found by sampling.
     ended: that time ran out, in words; otherwise empty.
+    fast: the fast motion with which the first search for another cost than the time began; None if there is none.
     """
 
     best: FoundMotion | None
@@ -58,6 +59,7 @@ class Searched:
     looked_at: int
     routes: int
     ended: str
+    fast: FoundMotion | None = None
 
 
 def search_motion(world: World, start: Vector, found: GoalPostures, goals: Sequence[Goal], *, time: float) -> Searched:
@@ -122,7 +124,7 @@ def _search_cheapest(
 ) -> Searched:  # fmt: skip
     """The cheapest motion; no further search finds one that is longer than the first search allows."""
     search = CostSearch(world, start, found, time=time)
-    ended, best, allowed = search.run(), search.best, search.allowed_time
+    ended, best, allowed, fast = search.run(), search.best, search.allowed_time, search.fast
     looked_at, routes = search.looked_at, search.routes
     searches = () if ended or best is None else _further(search, world)
     # the costs of the first search with those that continue it, and of each search that was begun anew
@@ -151,7 +153,7 @@ def _search_cheapest(
         costs = [best.cost] if goes_on else [*costs, min(costs) if search.repeats else cost]
         if ended:
             break
-    return Searched(best, allowed, looked_at, routes, ended)
+    return Searched(best, allowed, looked_at, routes, ended, fast)
 
 
 def _anew(world: World, number: int) -> World:

@@ -57,6 +57,15 @@ class RecordingNotes(Record):
     """What a scene file cannot express of the obstacles, in words."""
 
 
+class FastMotion(Record):
+    """A fast motion to the goal, which a search for another objective found first."""
+
+    duration: Figure
+    """How long it takes [s]."""
+    cost: Figure
+    """What it costs by the objective of the plan, in the unit of that."""
+
+
 class Findings(Record):
     """The numbers behind a plan's reason, and how its motion was found."""
 
@@ -76,6 +85,12 @@ class Findings(Record):
     """How long a motion to a goal was allowed to take, if its objective is not the time, with all waits before it [s].
 
     None also if the motion takes longer because of the limit of the tip's speed, and if the machine swerved.
+    """
+    fast: FastMotion | None = None
+    """The motion from which the search for another objective than the time learnt how long a motion may take.
+
+    It touches nothing, and is not always the fastest. None if none was needed or found, beside obstacles that move or
+    appear, and with a limit of the tip's speed.
     """
     attempts: int = 0
     """How many attempts the local law made."""

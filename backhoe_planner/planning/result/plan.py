@@ -20,6 +20,7 @@ from backhoe_planner.files.output_file import check_record, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.machine import BatchKinematics, MotionEnergy, Robot
 from backhoe_planner.motion import Problem, Trajectory, build_problem, leg_parts, trajectory_energy
+from backhoe_planner.planning.report.comparison import describe_saving
 from backhoe_planner.planning.report.quantities import describe_quantity
 from backhoe_planner.planning.result.bound import Bound, measure_bound
 from backhoe_planner.planning.result.findings import NOTHING, Findings
@@ -43,6 +44,7 @@ METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleo
 # % above the bound; of 24 random sites of the backhoe, the fastest known motions of nine in ten are at most 26 % above
 _FAR = 25.0
 _COMPUTED = ("dynamics", "certificate", "metrics", "bound", "legs")  # keys of a file that follow from its motion
+_SAVES = 0.99  # times the cost of a fast motion, up to which a motion counts as cheaper; chosen
 _BINDS = 0.98  # part of the allowed time from which it limits a motion; chosen: timing after the search saves a little
 _NOT_COMPUTED = {"metrics": {"planning_time", "objective"}, "legs": {"findings"}}
 
@@ -222,6 +224,18 @@ class Plan:
         by = "max_duration" if by_scene else "the planner"
         more = "" if by_scene else ": max_duration may allow more"
         return f"at most {longest:.2f} s was allowed by {by}" + f", which limits it{more}" * binds
+
+    @property
+    def saving(self) -> str:
+        """How much less the motion costs than the fast one from which the search began, in words.
+
+        Empty if the time is minimised, along a path, for a plan that is not verified, and for less than 1 %.
+        """
+        fast, cost = self.findings.fast, self.metrics.cost
+        if fast is None or cost is None or not self.verified or cost.value > _SAVES * fast.cost:
+            return ""
+        less = describe_saving(100.0 * (1.0 - cost.value / fast.cost))
+        return f"{less} than a motion of {fast.duration:.2f} s, which takes {describe_quantity(fast.cost, cost.unit)}"
 
     @property
     def settings(self) -> str:

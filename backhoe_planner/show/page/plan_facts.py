@@ -110,14 +110,15 @@ def _costs(plan: Plan) -> list[tuple[str, str, str]]:
     if cost is not None and least is not None:
         needed = describe_least_cost(minimised, least, cost.unit)
         needed += f": this one takes {describe_excess(cost.value, least)}"
-    objective = [word for word in ("the objective", needed) if word]
+    objective = [word for word in ("the objective", plan.saving, needed) if word]
     if work is not None:
         facts.append(("Work", describe_quantity(work, "J"), "; ".join(objective if minimised == "work" else [])))
     if "hydraulic" in metrics.energy:
         words = ["what the pump gives", *(objective if minimised == "hydraulic" else [])]
         facts.append(("Hydraulic", describe_quantity(metrics.energy["hydraulic"], "J"), "; ".join(words)))
     if cost is not None and minimised not in ("", "time", "work", "hydraulic"):
-        facts.append(("Objective", f"{minimised} {describe_quantity(cost.value, cost.unit)}", needed))
+        remark = "; ".join(filter(None, (plan.saving, needed)))
+        facts.append(("Objective", f"{minimised} {describe_quantity(cost.value, cost.unit)}", remark))
     if compared is not None:
         unit = OBJECTIVES[compared.name].unit
         law = ""

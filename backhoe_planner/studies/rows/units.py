@@ -29,7 +29,7 @@ _IN_WORDS = re.compile(r"\[([^\]]+)\]")  # as the descriptions of the schema's k
 _NO_UNITS = ("low, high", "w, x, y, z")  # other brackets in them
 _OF_KEY = {key: unit for unit, keys in _UNITS.items() for key in keys}
 _OF_CLEARANCE = ("value", "margin")  # [m]; the same keys have other units elsewhere
-_OF_OBJECTIVE = ("value", "law", "whole")  # below `cost` and `objective`
+_OF_OBJECTIVE = ("value", "law", "whole", "cost")  # below `cost` and `objective`; the last below `fast`
 
 
 def unit_of(keys: Sequence[str], objective: str | None = None) -> str:
@@ -46,7 +46,7 @@ def unit_of(keys: Sequence[str], objective: str | None = None) -> str:
     last, above = keys[-1], list(keys[-2:-1])
     if above == ["energy"]:
         return OBJECTIVES[last].unit
-    if above in (["cost"], ["objective"]):
+    if above in (["cost"], ["objective"]) or (above == ["fast"] and last == "cost"):
         return OBJECTIVES[objective].unit if objective is not None and last in _OF_OBJECTIVE else ""
     if last in _OF_CLEARANCE:
         return "m" if "clearances" in keys or "min_clearance" in keys else ""
