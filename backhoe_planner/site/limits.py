@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,6 +16,9 @@ from backhoe_planner.machine import DEFAULT_VELOCITY, Base, JointLimits, Robot, 
 from backhoe_planner.site.joint_names import check_joint_names
 from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema.zone_kinds import SwingSector
+
+# times the machine's own acceleration, above which one of the scene is rather meant in degrees: a radian has 57; chosen
+_TOO_FAST = 20.0
 
 
 def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
@@ -239,8 +243,21 @@ def input_warnings(
             "them may count as free; where it is solid, fill its holes (in MeshLab: Close Holes)"
             for file, names in scene.open_meshes().items()
         ]
-        found += () if is_planned else scene.doubtful_meshes()
+        found += () if is_planned else (*_doubtful_accelerations(robot, scene), *scene.doubtful_meshes())
     return tuple(found)
+
+
+def _doubtful_accelerations(robot: Robot, scene: Scene) -> list[str]:
+    """Accelerations of hinges that the scene may have meant in degrees, in words."""
+    found = []
+    for j, name in enumerate(robot.joint_names):
+        given, own = scene.limits.acceleration.get(name, 0.0), float(robot.limits.acceleration[j])
+        if given > _TOO_FAST * own and not robot.prismatic[j]:
+            found.append(
+                f"limits.acceleration.{name}: {given:g} rad/s^2 are {given / own:.0f} times the {own:g} of the machine"
+                f"; {given:g} deg/s^2 are {math.radians(given):.4g} rad/s^2"
+            )
+    return found
 
 
 def _ranges(robot: Robot, scene: Scene) -> tuple[Vector, Vector]:

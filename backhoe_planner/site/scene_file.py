@@ -177,7 +177,7 @@ class Scene(FileRecord):
         return tuple(moved)
 
     def warnings(self) -> tuple[str, ...]:
-        """What is not used of the files that the scene names, and tilts that may be in degrees, in words.
+        """What is not used of the files that the scene names, and tolerances that may be in other units, in words.
 
         Raises
         ------

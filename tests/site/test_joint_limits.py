@@ -11,7 +11,14 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import load_robot
-from backhoe_planner.site import limit_warnings, load_machine, machine_on_site, scaled_limits, scene_from_dict
+from backhoe_planner.site import (
+    input_warnings,
+    limit_warnings,
+    load_machine,
+    machine_on_site,
+    scaled_limits,
+    scene_from_dict,
+)
 
 Data = dict[str, Any]
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
@@ -197,6 +204,15 @@ def test_a_mimic_joint_that_would_move_the_tip_needs_its_leader_held(panda: bp.R
         load_machine("example:panda", scene(READY, **tip))
     robot = load_machine("example:panda", scene(READY, hold={"panda_finger_joint1": 0.02}, **tip))
     assert robot.joint_names == panda.joint_names
+
+
+def test_an_acceleration_that_may_be_meant_in_degrees_gives_a_warning(backhoe: bp.Robot) -> None:
+    """The swing's own is 0.5 rad/s^2; 30 degrees are 0.5236 rad."""
+    said = "limits.acceleration.swing: 30 rad/s^2 are 60 times the 0.5 of the machine; 30 deg/s^2 are 0.5236 rad/s^2"
+    doubtful = scene(limits={"acceleration": {"swing": 30.0, "boom": 1.0}})
+    assert input_warnings(backhoe, doubtful) == (said,)
+    assert input_warnings(backhoe, doubtful, is_planned=True) == ()
+    assert input_warnings(backhoe, scene(limits={"acceleration": {"swing": 9.0}})) == ()
 
 
 def test_held_joints_that_make_the_machine_collide_with_itself_are_refused(panda: bp.Robot) -> None:

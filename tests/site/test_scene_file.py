@@ -667,6 +667,19 @@ def test_a_tilt_that_may_be_meant_in_degrees_gives_a_warning_with_the_radians() 
     )
 
 
+def test_a_tolerance_that_may_be_meant_in_millimetres_gives_a_warning() -> None:
+    def warnings_of(task: Data) -> tuple[str, ...]:
+        return scene_from_dict(scene(task=task)).warnings()
+
+    assert warnings_of({"goal": {"position": [3, 0, 1], "tolerance": 0.99}}) == ()
+    assert warnings_of({"goal": {"position": [3, 0, 1], "tolerance": 50.0}}) == (
+        "task.goal.tolerance: 50 m are wide; 50 mm are 0.05 m",
+    )
+    points = [{"position": [3, 0, 1]}, {"position": [4, 0, 1]}]
+    legs = [{"name": "first", "path": {"waypoints": points, "tolerance": 5}}]
+    assert warnings_of({"sequence": legs}) == ("task.sequence[0].path.tolerance: 5 m are wide; 5 mm are 0.005 m",)
+
+
 BAD_PATHS: dict[str, tuple[str | bytes | None, list[str]]] = {
     "missing": (None, ["no such path file"]),
     "empty": ("", ["empty"]),

@@ -17,6 +17,7 @@ from backhoe_planner.site.schema.tasks import SLOWEST, Goal, Goals, JointsGoal, 
 ObjectiveName = Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"]
 
 _WIDE_TILT = 1.0  # tolerance of a tilt that is rather meant in degrees: no cup or fork is level at 57 deg [rad]
+_WIDE_TOLERANCE = 1.0  # tolerance of a position that is rather meant in millimetres; chosen [m]
 _NOT_CARRIED = ("appears_at", "velocity", "links", "legs", "clearance")  # keys that only an obstacle on the site has
 
 
@@ -26,6 +27,13 @@ def wide_tilt(key: str, tilt: TiltRange | None) -> tuple[str, ...]:
         return ()
     words = f"{given:g} rad are {math.degrees(given):.1f} deg; {given:g} degrees are {math.radians(given):.4g} rad"
     return (f"{key}.tolerance: {words}",)
+
+
+def _wide_tolerance(key: str, given: float | None) -> tuple[str, ...]:
+    """A tolerance of a position so wide that it may be meant in millimetres, in words."""
+    if given is None or given < _WIDE_TOLERANCE:
+        return ()
+    return (f"{key}.tolerance: {given:g} m are wide; {given:g} mm are {1e-3 * given:.4g} m",)
 
 
 def _some_goal(goal: Any) -> Any:
@@ -177,7 +185,7 @@ class Task(Record):
         return _kept(self.goals, self.keep)
 
     def warnings(self) -> tuple[str, ...]:
-        """Tilts so wide that their tolerance may be meant in degrees, in words."""
+        """Tolerances so wide that they may be meant in degrees, of tilts, or in millimetres, in words."""
         parts: list[tuple[str, Task | Leg]] = [("task", self)]
         parts += [(f"task.sequence[{index}]", leg) for index, leg in enumerate(self.sequence or ())]
         found: list[str] = []
@@ -185,6 +193,9 @@ class Task(Record):
             tilts = [("keep.tilt", None if part.kept is None else part.kept.tilt)]
             tilts += [("goal.tilt", goal.tilt) for goal in part.goals if isinstance(goal, Goal)]
             found += [warning for key, tilt in tilts for warning in wide_tilt(f"{where}.{key}", tilt)]
+            wide = [("goal", goal.tolerance) for goal in part.goals if isinstance(goal, Goal)]
+            wide += [] if part.path is None else [("path", part.path.tolerance)]
+            found += [warning for key, given in wide for warning in _wide_tolerance(f"{where}.{key}", given)]
         return tuple(dict.fromkeys(found))
 
     @property
