@@ -13,9 +13,12 @@ from one_joint_search import DURATION, END, START, ended_search, scene, world_of
 import backhoe_planner as bp
 from backhoe_planner.motion import Goal, build_problem, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.goals import cost_search
 from backhoe_planner.planning.goals import searches as goal_searches
 from backhoe_planner.planning.goals.cost_search import CostSearch
+from backhoe_planner.planning.goals.fast_motions import FastMotions
 from backhoe_planner.planning.goals.goal_planning import ToGoal
+from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.multistart import cost_descents
 from backhoe_planner.planning.multistart.cost_descents import CostDescents
 from backhoe_planner.planning.multistart.first_rounds import FirstRounds
@@ -418,3 +421,26 @@ def test_a_continued_search_keeps_the_best_and_refines_only_what_is_better(
     assert again.best is coarse
     assert first.best is not None
     assert first.best.cost <= coarse.cost
+
+
+def test_of_two_fast_motions_with_which_a_search_begins_it_keeps_the_faster_one(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second, longer search for a fast motion need not find a faster one."""
+    world = world_of(planar4)
+    found = find_goal_postures(world, world.problem.goals, near=START, time=0.0)
+    assert isinstance(found, GoalPostures)
+    line = JointCurve.straight(START, END, 12)
+    fast = [
+        FastMotions(
+            fastest=FoundMotion(time_evenly(line, T), T, world.problem.goals[0], "straight", line), ended=[],
+            allowed_time=3.0 * T, postures=[], goals=[], looked_at=0, routes=0,
+        )
+        for T in (DURATION, 1.5 * DURATION)
+    ]  # fmt: skip
+    monkeypatch.setattr(cost_search, "fast_motions", lambda *_, **__: iter(fast))
+    search = CostSearch(world, START, found, time=0.0)
+    assert search.run() == ""
+    assert search.fast is not None
+    assert search.fast.motion.duration == pytest.approx(DURATION)
+    assert search.allowed_time == 3.0 * DURATION

@@ -203,8 +203,10 @@ class CostSearch(MotionSearch):
             if found.fastest is not None:
                 ended.append(found.fastest)
                 self._incumbent.longest = min(self._incumbent.longest, found.allowed_time)
-                self.fast = replace(found.fastest, cost=motion_cost(self._problem, found.fastest.motion))
-                self._incumbent.offer(self.fast)
+                fast = replace(found.fastest, cost=motion_cost(self._problem, found.fastest.motion))
+                self._incumbent.offer(fast)
+                if self.fast is None or fast.motion.duration < self.fast.motion.duration:
+                    self.fast = fast
         return ended
 
     def _find_any(self, turn: int) -> int:
