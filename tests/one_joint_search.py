@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 import backhoe_planner as bp
-from backhoe_planner.motion import build_problem
+from backhoe_planner.machine import GRAVITY, Dynamics
+from backhoe_planner.motion import build_problem, time_evenly
+from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.goals.cost_search import CostSearch
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.search.effort import EFFORTS, Work
 from backhoe_planner.planning.world.world import World
 
@@ -38,3 +41,11 @@ def ended_search(robot: bp.Robot) -> tuple[World, GoalPostures, CostSearch]:
     search = CostSearch(world, START, found, time=0.0)
     assert search.run() == ""
     return world, found, search
+
+
+def motion_of_lift(world: World, millimetres: float) -> FoundMotion:
+    """A motion of the joint, with the cost of lifting all moving parts by so many millimetres."""
+    masses, _ = Dynamics(world.problem.robot).bodies()
+    curve = JointCurve.straight(START, END, 12)
+    cost = millimetres * 1e-3 * GRAVITY * float(np.sum(masses))
+    return FoundMotion(time_evenly(curve, DURATION), cost, world.problem.goals[0], "straight", curve)

@@ -8,11 +8,10 @@ from itertools import chain, repeat
 
 import numpy as np
 import pytest
-from one_joint_search import DURATION, END, START, ended_search
+from one_joint_search import END, START, ended_search, motion_of_lift
 
 import backhoe_planner as bp
-from backhoe_planner.machine import GRAVITY, Dynamics
-from backhoe_planner.motion import drive_of, time_evenly
+from backhoe_planner.motion import drive_of
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.goals.cost_search import CostSearch
@@ -42,10 +41,7 @@ def hops(
     millimetres: by which the best motion at first could lift all moving parts.
     """
     world, search = ended
-    masses, _ = Dynamics(world.problem.robot).bodies()
-    curve = JointCurve.straight(START, END, 12)
-    cost = millimetres * 1e-3 * GRAVITY * float(np.sum(masses))
-    best = FoundMotion(time_evenly(curve, DURATION), cost, world.problem.goals[0], "straight", curve)
+    best = motion_of_lift(world, millimetres)
     incumbent, begun = search._incumbent, list[tuple[Start, FoundMotion]]()
     incumbent.best, world.work.hop_rounds = best, EFFORTS["normal"].hop_rounds
 

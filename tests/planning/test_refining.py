@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
-from one_joint_search import DURATION, END, START, ended_search
+from one_joint_search import DURATION, END, START, ended_search, motion_of_lift
 
 import backhoe_planner as bp
-from backhoe_planner.machine import GRAVITY, Dynamics
 from backhoe_planner.motion import time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Options, Timed
@@ -81,11 +79,8 @@ def test_a_motion_that_costs_less_than_a_lift_by_a_millimetre_is_refined_once(
 ) -> None:
     """Each time 30 % is gained."""
     world, _, search = ended_search(planar4)
-    masses, _ = Dynamics(planar4).bodies()
-    curve = JointCurve.straight(START, END, 12)
-    cost = millimetres * 1e-3 * GRAVITY * float(np.sum(masses))
-    best = FoundMotion(time_evenly(curve, DURATION), cost, world.problem.goals[0], "straight", curve)
-    other = replace(best, cost=1.1 * cost)
+    best = motion_of_lift(world, millimetres)
+    other = replace(best, cost=1.1 * best.cost)
     search._incumbent.best, search._descents.ended[:] = best, [best, other]
     tried: list[int] = []
 
@@ -133,10 +128,7 @@ def test_a_motion_that_costs_little_is_not_refined_to_the_last(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, millimetres: float, rough: bool
 ) -> None:
     world, _, search = ended_search(planar4)
-    masses, _ = Dynamics(planar4).bodies()
-    curve = JointCurve.straight(START, END, 12)
-    cost = millimetres * 1e-3 * GRAVITY * float(np.sum(masses))
-    search._incumbent.best = FoundMotion(time_evenly(curve, DURATION), cost, world.problem.goals[0], "straight", curve)
+    search._incumbent.best = motion_of_lift(world, millimetres)
     search._descents.ended.clear()
     asked: list[Options] = []
     monkeypatch.setattr(search._descents.rounds, "run", lambda *at, **_: asked.append(at[3]))

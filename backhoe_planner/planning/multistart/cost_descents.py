@@ -189,25 +189,19 @@ class CostDescents(MotionDescents):
 
     def bent_coarsely(self, start: Start) -> Start:
         """The start after a whole descent on a coarse curve, which goes on on its own pieces."""
-        curve = start.curve.divided_evenly(_COARSE_PIECES, self._problem.limits)
         options = Options(
             self._most_rounds, SPARE, density=1, box=FIRST_BOX, is_hopeless=partial(self._is_hopeless, looks=()),
             longest=self._longest(start.duration), unsampled=True, rough=True,
         )  # fmt: skip
-        found = self.rounds.run(curve, start.duration, start.goal, options, coarse_in_one=_COARSE_IN_ONE)
-        if found is None:
-            return start
-        return replace(start, curve=found.curve.divided_evenly(start.curve.pieces, self._problem.limits))
+        found = self._run_coarsely(start, start.duration, options)
+        return start if found is None else replace(start, curve=found.curve)
 
     def _few_rounds(
         self, start: Start, rounds: int, *, gives_up: GivesUp, density: int = 1, clear_first: bool = False
     ) -> Timed | None:  # fmt: skip
         """See `FewRounds`; of a straight line on a coarse curve, so that the same time shows more of its result."""
-        curve, pieces = start.curve, start.curve.pieces
         in_a_hurry = self._effort.is_hurried
-        coarse = start.way == STRAIGHT and pieces > _COARSE_PIECES and not clear_first and not in_a_hurry
-        if coarse:
-            curve, rounds = curve.divided_evenly(_COARSE_PIECES, self._problem.limits), _COARSE_FOR_ONE * rounds
+        coarse = start.way == STRAIGHT and start.curve.pieces > _COARSE_PIECES and not clear_first and not in_a_hurry
         for_one = _COARSE_FOR_ONE if coarse else 1
 
         def is_over(here: Timed, rounds: int) -> bool:
@@ -215,14 +209,19 @@ class CostDescents(MotionDescents):
 
         duration = max(start.duration, self.incumbent.longest)
         options = Options(
-            rounds, SPARE, density, FIRST_BOX, is_over, longest=self._longest(duration), unsampled=True,
+            for_one * rounds, SPARE, density, FIRST_BOX, is_over, longest=self._longest(duration), unsampled=True,
             clear_first=clear_first, rough=coarse and self._is_frugal,
         )  # fmt: skip
-        in_one = _COARSE_IN_ONE if coarse else 1
-        found = self.rounds.run(curve, duration, start.goal, options, coarse_in_one=in_one)
-        if not coarse or found is None:
-            return found
-        return replace(found, curve=found.curve.divided_evenly(pieces, self._problem.limits))
+        if coarse:
+            return self._run_coarsely(start, duration, options)
+        return self.rounds.run(start.curve, duration, start.goal, options)
+
+    def _run_coarsely(self, start: Start, duration: float, options: Options) -> Timed | None:
+        """A descent from a start on a coarse curve; its result has the curve on the pieces of the start."""
+        limits = self._problem.limits
+        coarse = start.curve.divided_evenly(_COARSE_PIECES, limits)
+        found = self.rounds.run(coarse, duration, start.goal, options, coarse_in_one=_COARSE_IN_ONE)
+        return None if found is None else replace(found, curve=found.curve.divided_evenly(start.curve.pieces, limits))
 
     def _falls_behind(self, here: Timed, rounds: int, best: FoundMotion) -> bool:
         if rounds < _TRIED_LONGER:
