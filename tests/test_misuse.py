@@ -293,6 +293,7 @@ def calls() -> dict[str, Call]:
         "Hydraulics.lengths": call(oil.lengths, q=rq),
         "Hydraulics.moment_arms": call(oil.moment_arms, q=rq),
         "Hydraulics.arm_slopes": call(oil.arm_slopes, q=rq),
+        "Hydraulics.arms": call(oil.arms, q=rq),
         "Hydraulics.joints": call(
             oil.joints, lengths=(oil.lengths(Q), only(None, "text", {}, OBJECT, [], [0.1] * (count + 1), 3.0))
         ),

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.arrays import Matrix
-from backhoe_planner.machine import Hydraulics
-from backhoe_planner.planning.descent.softening import soft_flows, soft_power
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.machine import Dynamics, Hydraulics
+from backhoe_planner.planning.descent.softening import soft_flows, soft_power, soft_power_slopes
 
 MOMENTS = 200
 
@@ -71,3 +71,26 @@ def test_the_flows_of_softening_decrease() -> None:
     assert np.all(np.diff(hurried) < 0.0)
     assert len(hurried) < len(flows)
     assert soft_flows(0.0, first=False, fine=False, hurried=False) == (0.0,)
+
+
+@pytest.mark.parametrize("flow", [1e-3, 1e-4])
+def test_the_slopes_of_the_smooth_power_are_its_differences(
+    backhoe: bp.Robot, hydraulics: Hydraulics, moments: tuple[Matrix, Matrix, Matrix], flow: float
+) -> None:
+    """Also where a joint is at rest, and where two cylinders turn it: the swing."""
+    q, v, _ = moments
+    a, dynamics = np.random.default_rng(4).normal(size=q.shape), Dynamics(backhoe)
+    v[:40, 1] = 0.0
+
+    def power(at: Matrix) -> Vector:
+        q, v, a = np.split(at, 3, axis=1)
+        return soft_power(hydraulics, q, v, dynamics.torques_along(q, v, a), flow=flow)
+
+    here, step = np.hstack((q, v, a)), 1e-7
+    nudges = step * np.eye(here.shape[1])
+    differences = np.stack([power(here + nudge) - power(here - nudge) for nudge in nudges], axis=1) / (2.0 * step)
+    found, slopes = soft_power_slopes(hydraulics, q, v, *dynamics.torque_slopes(q, v, a), flow=flow)
+    np.testing.assert_allclose(found, power(here), rtol=1e-12)
+    scale = np.abs(differences).max()
+    assert scale > 1e4
+    np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1e-6 * scale)

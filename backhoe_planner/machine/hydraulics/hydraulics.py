@@ -140,6 +140,11 @@ class Hydraulics:
         return BothWays(self.pressure * self._cap, self.pressure * self._annulus)
 
     @property
+    def areas(self) -> tuple[Array, Array]:
+        """(m,) each: on which the oil acts as a cylinder extends, and as it retracts [m^2]."""
+        return self._cap, self._annulus
+
+    @property
     def power_limit(self) -> float:
         """Power that the engine can give to the oil [W]."""
         return self.efficiency * self.engine_power
@@ -169,10 +174,14 @@ class Hydraulics:
 
     def moment_arms(self, q: Array) -> Array:
         """(..., m, n) r = dl/dq [m/rad] at q (..., n)."""
-        arms = self._arms(q)
+        arms = self.arms(q)
         matrix = np.zeros((*arms.shape, len(self.joint_names)))
         matrix[..., np.arange(len(self.cylinders)), self.joint_of] = arms
         return matrix
+
+    def arms(self, q: Array) -> Array:
+        """(..., m) dl/dq of each cylinder along its own joint [m/rad], at q (..., n); read-only."""
+        return self._remembered("arms", lambda q: self._of_arms(linkage_arms, q), q)
 
     def arm_slopes(self, q: Array) -> Array:
         """(..., m) dr/dq of each cylinder's moment arm along its own joint [m/rad^2], at q (..., n)."""
@@ -217,7 +226,7 @@ class Hydraulics:
 
     def rod_speeds(self, q: Array, v: Array) -> Array:
         """(..., m) l' = r v [m/s], extending positive, at q, v (..., n)."""
-        arms = self._arms(q)
+        arms = self.arms(q)
         return np.asarray(arms * as_rows(v, len(self.joint_names), key="v", beside=arms)[..., self.joint_of])
 
     def flows(self, q: Array, v: Array) -> Array:
@@ -249,7 +258,7 @@ class Hydraulics:
 
         At rest they are those for a positive velocity.
         """
-        arms, v = self._arms(q), as_rows(v, len(self.joint_names), key="v")
+        arms, v = self.arms(q), as_rows(v, len(self.joint_names), key="v")
         shape = np.broadcast_shapes(arms.shape[:-1], v.shape[:-1])
         slopes, areas = self.arm_slopes(q), (self._cap, self._annulus)
         by_q, by_v = rod_flow_slopes(_rows(arms, shape), _rows(slopes, shape), self.joint_of, *areas, _rows(v, shape))
@@ -259,7 +268,7 @@ class Hydraulics:
 
     def joint_torques(self, q: Array, force: Array) -> Array:
         """(..., n) tau = r^T F [N m] at q (..., n) for the cylinders' force F (..., m) [N], push positive."""
-        arms = self._arms(q)
+        arms = self.arms(q)
         return self._by_joint(arms * as_rows(force, len(self.cylinders), key="force", beside=arms))
 
     def cylinder_forces(self, q: Array, tau: Array) -> Array:
@@ -268,7 +277,7 @@ class Hydraulics:
         If several cylinders move one joint, these are the forces of least norm: F = r tau / (r . r).
         A torque on a joint without a cylinder is ignored.
         """
-        arms = self._arms(q)
+        arms = self.arms(q)
         tau = as_rows(tau, len(self.joint_names), key="tau", beside=arms)
         shape = np.broadcast_shapes(arms.shape[:-1], tau.shape[:-1])
         return rod_forces(_rows(arms, shape), self.joint_of, _rows(tau, shape)).reshape(*shape, arms.shape[-1])
@@ -316,7 +325,7 @@ class Hydraulics:
 
     def _oil(self, q: Array, v: Array, tau: Array) -> tuple[Array, Array, Array]:
         """(...) each: see `oil_taken`."""
-        arms = self._arms(q)
+        arms = self.arms(q)
         v, tau = (as_rows(each, len(self.joint_names), key=key, beside=arms) for each, key in ((v, "v"), (tau, "tau")))
         shape = np.broadcast_shapes(arms.shape[:-1], v.shape[:-1], tau.shape[:-1])
         rows = [_rows(each, shape) for each in (arms, v, tau)]
@@ -326,12 +335,12 @@ class Hydraulics:
 
     def _limits(self, q: Array) -> tuple[BothWays, BothWays]:
         """(..., n) the greatest torques and speeds of the joints, read-only."""
-        return self._remembered("limits", lambda q: self._both_ways(rod_limits, self._arms(q)), q)
+        return self._remembered("limits", lambda q: self._both_ways(rod_limits, self.arms(q)), q)
 
     def _limit_slopes(self, q: Array) -> tuple[BothWays, BothWays]:
         """(..., n) the derivatives of `_limits` by each joint's own position, read-only."""
         return self._remembered(
-            "limit slopes", lambda q: self._both_ways(rod_limit_slopes, self._arms(q), self.arm_slopes(q)), q
+            "limit slopes", lambda q: self._both_ways(rod_limit_slopes, self.arms(q), self.arm_slopes(q)), q
         )
 
     def _both_ways(self, compute: Callable[..., tuple[Array, ...]], *of_arms: Array) -> tuple[BothWays, BothWays]:
@@ -344,10 +353,6 @@ class Hydraulics:
             each.setflags(write=False)
         torque, back_torque, speed, back_speed = (each.reshape(*shape, len(self.joint_names)) for each in found)
         return BothWays(torque, back_torque), BothWays(speed, back_speed)
-
-    def _arms(self, q: Array) -> Array:
-        """(..., m) dl/dq of each cylinder along its own joint [m/rad], read-only."""
-        return self._remembered("arms", lambda q: self._of_arms(linkage_arms, q), q)
 
     def _of_arms(self, compute: Callable[[Matrix, Indices, Matrix], Matrix], q: Array) -> Array:
         """(..., m) the result of `compute` for the cylinders' linkages, at q (..., n); read-only."""

@@ -17,7 +17,7 @@ from backhoe_planner.motion import Drive, Problem, cost_rate, moment_slopes
 from backhoe_planner.planning.descent.curve import JointCurve, moment_changes, spread
 from backhoe_planner.planning.descent.kinks import Kinks, rising, rounded
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE
-from backhoe_planner.planning.descent.softening import soft_power
+from backhoe_planner.planning.descent.softening import soft_power, soft_power_slopes
 
 # of the sum, for each piece; chosen. With 3, the true cost may be three times the sum; with 4, a tenth more than the
 # sum in a fine descent, at worst a half, and with 6, 1 to 4 %
@@ -100,9 +100,9 @@ class OwnTime:
         if self.problem.objective.is_squared_torque:
             return self._slope_of_squares(change, share, moments, duration)
         if not self.problem.objective.is_positive_power:
-            rate, slopes = moment_slopes(lambda *at: self.parts(*at)[0], *moments)
-            slope = share @ change.of(slopes[:, 0])
-            slope[-1] += share @ rate[:, 0] / duration
+            rate, slopes = self._smooth_slopes(*moments)
+            slope = share @ change.of(slopes)
+            slope[-1] += share @ rate / duration
             return Slope(slope, np.zeros((len(slope), len(slope))), Kinks.none(len(slope)))
         torque, slopes = self.drive.torque_slopes(*moments)
         v, n = moments[1], curve.control.shape[1]
@@ -167,8 +167,16 @@ class OwnTime:
         if self.problem.objective.is_squared_torque:
             torque, slopes = self.drive.torque_slopes(q, v, a)
             return np.sum(torque * torque, axis=1), np.einsum("kj,kjm->km", 2.0 * torque, slopes)
-        found, slopes = moment_slopes(lambda *at: self.parts(*at)[0], q, v, a)
-        return found[:, 0], slopes[:, 0]
+        return self._smooth_slopes(q, v, a)
+
+    def _smooth_slopes(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Vector, Matrix]:
+        """See `rate_slopes`, for a cost without kinks; where it is not softened, the derivatives are differences."""
+        if self.soft_flow > 0.0:
+            assert self.drive.hydraulics is not None
+            torque, slopes = self.drive.torque_slopes(q, v, a)
+            return soft_power_slopes(self.drive.hydraulics, q, v, torque, slopes, flow=self.soft_flow)
+        rate, differences = moment_slopes(lambda *at: self.parts(*at)[0], q, v, a)
+        return rate[:, 0], differences[:, 0]
 
     def mean_flow(self, curve: JointCurve, duration: float) -> float:
         """The mean flow of a cylinder over the whole motion [m^3/s]; 0 if there is none."""

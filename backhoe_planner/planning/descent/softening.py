@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine import Hydraulics
 
 # the flows below which a cylinder counts in part, as parts of its mean flow over the motion; chosen: begun at 10,
@@ -49,10 +49,75 @@ def soft_power(hydraulics: Hydraulics, q: Matrix, v: Matrix, torque: Matrix, *, 
         smoothly from 0; the highest pressure and the amounts of oil are rounded off at their kinks.
     """
     oil, against = hydraulics.flows(q, v), np.sign(torque * v)[:, hydraulics.joint_of]
-    part = np.clip(against * oil / flow, 0.0, 1.0)
     pressure = np.nan_to_num(hydraulics.pressures(q, torque), posinf=0.0)  # at a dead centre
-    counted = part * part * (3.0 - 2.0 * part) * pressure
-    largest = np.maximum(np.max(counted, axis=-1, keepdims=True, initial=0.0), _LEAST_PRESSURE)
-    highest = largest[..., 0] * np.sum((counted / largest) ** _POWER, axis=-1) ** (1.0 / _POWER)
+    counted = _counted_part(against * oil / flow) * pressure
+    return np.asarray(_highest(counted) * _all_oil(oil, flow))
+
+
+def soft_power_slopes(
+    hydraulics: Hydraulics, q: Matrix, v: Matrix, torque: Matrix, torque_slopes: Array, *, flow: float
+) -> tuple[Vector, Matrix]:
+    """`soft_power`, and (K, 3 n) its derivatives by q, v and a, one after the other.
+
+    Parameters
+    ----------
+    torque_slopes: (K, n, 3 n) the derivatives of the torques by these.
+    """
+    n, joint, (cap, annulus) = q.shape[1], hydraulics.joint_of, hydraulics.areas
+    of_joint = np.eye(n)[joint]  # (m, n)
+    arms, arm_slopes, own_v, own_torque = hydraulics.arms(q), hydraulics.arm_slopes(q), v[:, joint], torque[:, joint]
+    # the oil of each cylinder, A |r v|
+    speed = arms * own_v
+    side = np.sign(speed) * np.where(speed > 0.0, cap, annulus)
+    oil, oil_by_q, oil_by_v = side * speed, side * arm_slopes * own_v, side * arms
+    # the pressure in it, |F| / A with F = r tau / (r . r)
+    squared, squared_by_q = (each @ of_joint @ of_joint.T for each in (arms * arms, 2.0 * arms * arm_slopes))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share, share_by_q = arms / squared, (arm_slopes - arms * squared_by_q / squared) / squared
+    share, share_by_q = (
+        np.nan_to_num(each, posinf=0.0, neginf=0.0) for each in (share, share_by_q)
+    )  # at a dead centre
+    force = share * own_torque
+    side = np.sign(force) / np.where(force > 0.0, cap, annulus)
+    pressure, pressure_by_q, pressure_by_torque = side * force, side * share_by_q * own_torque, side * share
+    # of which a part counts, and of these parts the highest, times all oil
+    against = np.sign(own_torque * own_v) / flow
+    part = _counted_part(against * oil)
+    part_by_oil = against * _counted_part_slope(against * oil)
+    highest, all_oil = _highest(part * pressure), _all_oil(oil, flow)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_counted = all_oil[:, None] * np.nan_to_num((part * pressure / highest[:, None]) ** (_POWER - 1))
+    by_oil = by_counted * part_by_oil * pressure + highest[:, None] * oil / _rounded_off(oil, flow)
+    by_pressure = by_counted * part
+    found = np.einsum("kj,kjm->km", (by_pressure * pressure_by_torque) @ of_joint, torque_slopes)
+    found[:, :n] += (by_oil * oil_by_q + by_pressure * pressure_by_q) @ of_joint
+    found[:, n : 2 * n] += (by_oil * oil_by_v) @ of_joint
+    return highest * all_oil, found
+
+
+def _counted_part(part: Array) -> Array:
+    """How much of its pressure counts for a cylinder with this part of the flow from which it counts in full."""
+    part = np.clip(part, 0.0, 1.0)
+    return np.asarray(part * part * (3.0 - 2.0 * part))
+
+
+def _counted_part_slope(part: Array) -> Array:
+    part = np.clip(part, 0.0, 1.0)
+    return np.asarray(6.0 * part * (1.0 - part))
+
+
+def _highest(pressure: Array) -> Array:
+    """(K,) the highest of pressures (K, m) [Pa], its kinks rounded off."""
+    largest = np.maximum(np.max(pressure, axis=-1, keepdims=True, initial=0.0), _LEAST_PRESSURE)
+    return np.asarray(largest[..., 0] * np.sum((pressure / largest) ** _POWER, axis=-1) ** (1.0 / _POWER))
+
+
+def _all_oil(oil: Array, flow: float) -> Array:
+    """(K,) the sum of amounts of oil (K, m) [m^3/s], which are rounded off at 0."""
+    return np.asarray(np.sum(_rounded_off(oil, flow) - _ROUND_OFF * flow, axis=-1))
+
+
+def _rounded_off(oil: Array, flow: float) -> Array:
+    """Amounts of oil [m^3/s], rounded off at 0, where they are too great by `_ROUND_OFF` of the flow."""
     width = _ROUND_OFF * flow
-    return np.asarray(highest * np.sum(np.sqrt(oil * oil + width * width) - width, axis=-1))
+    return np.asarray(np.sqrt(oil * oil + width * width))
