@@ -130,6 +130,18 @@ def test_power_counts_only_motion_against_the_load(tmp_path: Path) -> None:
     assert found.load_sensing_power(q, v, tau) == pytest.approx(1200.0)
 
 
+def test_a_joint_that_moves_by_rounding_alone_needs_no_pressure(backhoe: Robot) -> None:
+    """The boom under 30 kN m while the swing turns: at rest the swing's pressure suffices, and at 1 nrad/s not."""
+    hydraulics = backhoe.hydraulics
+    assert hydraulics is not None
+    q, tau = np.array([0.2, 0.4, -1.2, -0.5]), np.array([1e3, 30e3, 0.0, 0.0])
+    rest, rounding, creep = (np.array([0.3, speed, 0.0, 0.0]) for speed in (0.0, 1e-14, 2e-9))
+    power = hydraulics.load_sensing_power(q, rest, tau)
+    assert power == pytest.approx(np.max(hydraulics.pressures(q, tau)[:2]) * hydraulics.total_flow(q, rest))
+    assert hydraulics.load_sensing_power(q, rounding, tau) == power
+    assert hydraulics.load_sensing_power(q, creep, tau) > 2.0 * power
+
+
 # --- four-bar -----------------------------------------------------------------------
 
 

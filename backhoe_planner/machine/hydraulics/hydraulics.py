@@ -35,6 +35,7 @@ from backhoe_planner.machine.hydraulics.rods import (
 )
 
 _REMEMBERED = 12  # latest results at some q that are kept; chosen: about eight are in use at a time
+_AT_REST = 1e-9  # rad/s or m/s: a slower joint is at rest but for rounding; chosen, far above that of any curve
 SAME_LENGTH = 1e-7  # m: an angle whose length is further off belongs to another branch; chosen, far above rounding
 _BESIDE = SAME_LENGTH  # rad, at a lever of 1 m: this far beyond the end of the stroke still counts as the end
 
@@ -327,6 +328,7 @@ class Hydraulics:
         """(...) each: see `oil_taken`."""
         arms = self.arms(q)
         v, tau = (as_rows(each, len(self.joint_names), key=key, beside=arms) for each, key in ((v, "v"), (tau, "tau")))
+        v = np.where(np.abs(v) > _AT_REST, v, 0.0)
         shape = np.broadcast_shapes(arms.shape[:-1], v.shape[:-1], tau.shape[:-1])
         rows = [_rows(each, shape) for each in (arms, v, tau)]
         found = oil_taken(rows[0], self.joint_of, self._cap, self._annulus, *rows[1:])
