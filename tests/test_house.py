@@ -93,6 +93,7 @@ SUITES = {
         "result",
         "world",
         "multistart",
+        "refining",
         "goals",
         "",
         "sequence",

@@ -130,7 +130,7 @@ def test_power_counts_only_motion_against_the_load(tmp_path: Path) -> None:
     assert found.load_sensing_power(q, v, tau) == pytest.approx(1200.0)
 
 
-def test_a_joint_that_moves_by_rounding_alone_needs_no_pressure(backhoe: Robot) -> None:
+def test_a_joint_that_moves_by_rounding_alone_needs_no_pressure(backhoe: bp.Robot) -> None:
     """The boom under 30 kN m while the swing turns: at rest the swing's pressure suffices, and at 1 nrad/s not."""
     hydraulics = backhoe.hydraulics
     assert hydraulics is not None

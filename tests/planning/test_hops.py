@@ -15,9 +15,9 @@ from backhoe_planner.motion import drive_of
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.goals.cost_search import CostSearch
-from backhoe_planner.planning.multistart import refining
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.multistart.start_prices import Start
+from backhoe_planner.planning.refining import refining
 from backhoe_planner.planning.search.effort import EFFORTS
 from backhoe_planner.planning.world.world import World
 from validation.habitats import load_machine

@@ -14,7 +14,7 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Options, Timed
 from backhoe_planner.planning.descent.margins import Margins
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
-from backhoe_planner.planning.multistart.refining import Refining
+from backhoe_planner.planning.refining.refining import Refining
 
 
 @pytest.mark.parametrize(

@@ -23,8 +23,8 @@ from backhoe_planner.planning.multistart import cost_descents
 from backhoe_planner.planning.multistart.cost_descents import CostDescents
 from backhoe_planner.planning.multistart.first_rounds import FirstRounds
 from backhoe_planner.planning.multistart.incumbent import FoundMotion, Incumbent
-from backhoe_planner.planning.multistart.refining import Refining
 from backhoe_planner.planning.multistart.start_prices import PricedStart, Start
+from backhoe_planner.planning.refining.refining import Refining
 from backhoe_planner.planning.search.effort import EFFORTS, Effort, Work
 from backhoe_planner.planning.world.world import World
 

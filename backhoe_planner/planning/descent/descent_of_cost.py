@@ -245,19 +245,24 @@ class _Tried:
 
 
 class DescentOfCost(Descent):
-    """Descents to the cheapest motions; parameters and attributes as for `Descent`."""
+    """Descents to the cheapest motions; parameters and attributes as for `Descent`.
+
+    Attributes
+    ----------
+    own_time: computes the cost of curves.
+    """
 
     def __init__(
         self, problem: Problem, proximity: Proximity, kinematics: Kinematics, *, time: float, brake: Brake,
         hurried: bool = False,
     ) -> None:  # fmt: skip
         super().__init__(problem, proximity, kinematics, time=time, brake=brake, hurried=hurried)
-        self._own_time = OwnTime(problem, self._drive)
+        self.own_time = OwnTime(problem, self._drive)
 
     def run(self, curve: JointCurve, duration: float, goal: Goal, options: Options) -> Timed:
         """See `Descent.run`; every curve has a motion."""
         longest, objective = options.longest, self._problem.objective
-        own_time = self._own_time.looked_at(fine=options.fine)
+        own_time = self.own_time.looked_at(fine=options.fine)
         within = (1.0 - _TIME_SPARE) * longest
         duration = min(duration, within) if duration <= longest else duration
         flow = own_time.mean_flow(curve, duration) if objective.jumps else 0.0
@@ -403,9 +408,9 @@ class DescentOfCost(Descent):
         durations: (C,) of each [s]; longer if the limits require it.
         longest: the longest time that a motion may take [s].
         """
-        T = self._own_time.least_durations(curves, durations, places=_PLACES_OF_LIMITS)
+        T = self.own_time.least_durations(curves, durations, places=_PLACES_OF_LIMITS)
         late = np.maximum(T / longest - 1.0, 0.0)
-        costs = self._own_time.costs(curves, T, width=LEAST_WIDTH, places=_PLACES_OF_ESTIMATE)
+        costs = self.own_time.costs(curves, T, width=LEAST_WIDTH, places=_PLACES_OF_ESTIMATE)
         return np.asarray(costs * (1.0 + _LATE * late))
 
     def _as_sampled(self, found: Timed, exact: _Pricing) -> Timed:

@@ -23,8 +23,8 @@ from backhoe_planner.planning.multistart.free_starts import LINES_FOR_ONE, alike
 from backhoe_planner.planning.multistart.incumbent import FoundMotion, Incumbent
 from backhoe_planner.planning.multistart.lift import is_frugal, lift_of, little_cost
 from backhoe_planner.planning.multistart.line_starts import line_starts
-from backhoe_planner.planning.multistart.refining import Refining
 from backhoe_planner.planning.multistart.start_prices import PricedStart, Start, StartPrices
+from backhoe_planner.planning.refining.refining import Refining
 from backhoe_planner.planning.world.world import World
 
 # times the cost of the cheapest blocked start, from which there is more patience, and its factor

@@ -17,6 +17,7 @@ from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Options, Timed
 from backhoe_planner.planning.descent.descent_of_cost import DescentOfCost
 from backhoe_planner.planning.descent.looks import KEPT_PART
+from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.multistart.counted_rounds import CountedRounds
 from backhoe_planner.planning.multistart.first_rounds import Field, GivesUp, after_first_rounds
 from backhoe_planner.planning.multistart.free_starts import alike
@@ -106,6 +107,11 @@ class CostDescents(MotionDescents):
     def prices(self, screen: ClearanceScreen, *, alike: Vector | None = None) -> StartPrices:
         """The prices of starts among the obstacles of `screen`; for `alike` see `StartPrices`."""
         return StartPrices(self._descent, screen, longest=self.incumbent.longest, alike=alike)
+
+    @property
+    def own_time(self) -> OwnTime:
+        """Computes the cost of curves, as at the end of a descent."""
+        return self._descent.own_time.looked_at(fine=True)
 
     @property
     def begun(self) -> tuple[JointCurve, ...]:

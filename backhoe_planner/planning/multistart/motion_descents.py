@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -32,6 +33,7 @@ _SLOWER = 1.5  # times the duration of a start, that a descent from it may take 
 _TRIED = 4  # rounds after which a descent is judged
 FAR_OFF = 0.06  # m by which a clearance is missed then: hopeless if another motion is known; chosen
 FURTHER_OFF = 0.1  # m: the same if none is known; chosen
+_PLACES_PER_PIECE = 16  # at which a curve is checked that is proven later; chosen
 NEARLY = 0.02  # m that a curve may miss at the end of a descent, which is then continued
 
 
@@ -62,18 +64,33 @@ class MotionDescents(ABC):
         self.incumbent, self.rounds = incumbent, rounds
         self._most_rounds, self._uses_reserve = most_rounds, uses_reserve
         self._looks, self._no_less = looks, no_less
-        self._known = KnownCurves(
-            world.problem.limits,
-            lambda: SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake),
-        )
+        self._make_check = partial(
+            SampledCheck, world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake
+        )  # fmt: skip
+        self._known = KnownCurves(world.problem.limits, lambda: self._check)
         self._tried = self._known.anew()  # routes from which descents began
         self._left_blocked: list[tuple[float, Start]] = []  # starts that stayed in an obstacle, with their costs
         self.ended: list[FoundMotion] = []
+
+    @cached_property
+    def _check(self) -> SampledCheck:
+        return self._make_check()
 
     @property
     def best(self) -> FoundMotion | None:
         """The best motion so far."""
         return self.incumbent.best
+
+    def keeps(self, curve: JointCurve) -> bool:
+        """Whether a curve keeps all clearances and `keep` at places close to each other, which is not a proof.
+
+        Raises
+        ------
+        OutOfTime: the budget is used up.
+        """
+        q = curve.at(np.linspace(0.0, 1.0, _PLACES_PER_PIECE * curve.pieces + 1))
+        self._check.proximity.cover_unchecked(q)
+        return bool(self._check.keeps(q).all())
 
     def fitted(self, found: FoundMotion) -> Start:
         """The start whose curve is nearest to a motion."""

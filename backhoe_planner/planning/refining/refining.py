@@ -1,22 +1,26 @@
-"""The best motion of a search for another cost than the time is improved again: from beside it, then on finer curves.
+"""The best motion of a search for another cost than the time is improved again, in up to three ways.
 
-Little work has many minima at the same end and on the same way: joints that go out and back let a machine swing folded,
-or lower one part by what lifts another, and no small step leads there. So descents begin where it is more folded.
+From beside it, on finer curves, and with standstills if the cost jumps where a rod begins to move. Little work has many
+minima at the same end and on the same way: joints that go out and back let a machine swing folded, or lower one part by
+what lifts another, and no small step leads there. So descents begin where it is more folded.
 """
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
 from backhoe_planner.machine import BatchKinematics
+from backhoe_planner.motion import Trajectory, motion_cost, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.multistart.cost_descents import CostDescents
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.multistart.lift import is_frugal, lift_of, little_cost
 from backhoe_planner.planning.multistart.motion_descents import FINE_PIECES, FINE_ROUNDS
 from backhoe_planner.planning.multistart.start_prices import Start
+from backhoe_planner.planning.refining.standstills import with_standstills
 from backhoe_planner.planning.world.world import World
 
 # of the best curve, in turn, with pieces of different lengths; and the most pieces times joints, because the programs
@@ -52,6 +56,9 @@ _DRAWN_OF_MANY, _DULL_OF_MANY = (8, 8), 4
 # with all parts, up to 0.5 and 1 rad, 18
 _ASIDE, _LEAST_ASIDE = (0.7, 1.0), 0.3
 _SKEW = 0.5  # a joint moves aside most where a power of u, between e^-0.5 and e^0.5, is a half; chosen
+# times the cost of the best, up to which other motions get standstills too, as many as `Effort.ways_at_once`; chosen: a
+# standstill takes up to two thirds of the cost
+_STILL_WORTH = 2.0
 _PLACES = np.linspace(0.0, 1.0, 9)[1:-1]  # of a curve, at which it is seen how far the machine reaches out; chosen
 
 
@@ -94,11 +101,7 @@ class Refining:
         return 1.0 - best.cost / self._coarse if best is not None and self._coarse is not None else 0.0
 
     def run(self) -> None:
-        """Refine the best motion, from beside it and then on curves of more pieces in turn, unless in a hurry.
-
-        If the first of these makes it clearly cheaper, motions that cost little more are refined too: the costs before
-        say little about those after. A cost that counts as little is refined once, and not to the last.
-        """
+        """Refine the best motion, unless in a hurry."""
         best = self._descents.best
         self._descents.rounds.reserve(0)
         self.before, self._rounds_before = best, self._descents.rounds.made
@@ -106,9 +109,19 @@ class Refining:
             return
         self._hop()
         self._descents.rounds.reserve(0)
+        self._refine_in_turn()
+        self._let_stand_still()
+
+    def _refine_in_turn(self) -> None:
+        """Refine the best motion on curves of more pieces in turn.
+
+        If the first of these makes it clearly cheaper, motions that cost little more are refined too: the costs before
+        say little about those after. A cost that counts as little is refined once, and not to the last.
+        """
         best = self._best()
         self._coarse = best.cost
-        others = [] if best.cost <= self._little else self._nearly_as_cheap(best)
+        others = self._others(best, _NEARLY_AS_CHEAP * best.cost)[:_OTHERS_REFINED]
+        others = [] if best.cost <= self._little else others
         finer = [pieces for pieces in _FINER_PIECES if pieces * self._problem.robot.n <= _MOST_FINE]
         for turn, pieces in enumerate(finer or _FINER_PIECES[:1]):
             before = self._best()
@@ -147,6 +160,32 @@ class Refining:
             if dull == patience:
                 return
 
+    def _let_stand_still(self) -> None:
+        """Put standstills into the best motion and into others that do not cost much more, if the cost jumps.
+
+        The best of these is not always the one that was the best before.
+        """
+        if not self._problem.objective.jumps:
+            return
+        best, own_time, incumbent = self._best(), self._descents.own_time, self._descents.incumbent
+        others = self._others(best, _STILL_WORTH * best.cost)[: self._work.effort.ways_at_once]
+
+        def motion_along(curve: JointCurve, duration: float) -> Trajectory:
+            return time_evenly(curve, duration, self._problem.limits, drive=own_time.drive)
+
+        def is_allowed(curve: JointCurve, duration: float) -> bool:
+            if own_time.least_duration(curve, duration) > incumbent.longest or not self._descents.keeps(curve):
+                return False
+            return motion_along(curve, duration).duration <= incumbent.longest
+
+        for found in (best, *others):
+            if found.curve is None:
+                continue
+            still = with_standstills(own_time, found.curve, found.motion.duration, is_allowed)
+            if still is not found.curve:
+                motion = motion_along(still, found.motion.duration)
+                incumbent.offer(replace(found, motion=motion, cost=motion_cost(self._problem, motion), curve=still))
+
     def _beside(self, curve: JointCurve, most: float, rng: np.random.Generator, count: int) -> JointCurve:
         """The most folded of `count` random curves beside this one, all joints up to `most` aside, see `_ASIDE`."""
         limits, drawn = self._problem.limits, []
@@ -166,11 +205,10 @@ class Refining:
         assert self._descents.best is not None
         return self._descents.best
 
-    def _nearly_as_cheap(self, best: FoundMotion) -> list[FoundMotion]:
-        """The cheapest other motions at which descents ended, if they cost little more than the best."""
-        most = _NEARLY_AS_CHEAP * best.cost
+    def _others(self, best: FoundMotion, most: float) -> list[FoundMotion]:
+        """The other motions at which descents ended that cost at most so much, the cheapest first."""
         others = [one for one in self._descents.ended if one is not best and one.curve is not None and one.cost <= most]
-        return sorted(others, key=lambda one: one.cost)[:_OTHERS_REFINED]
+        return sorted(others, key=lambda one: one.cost)
 
     def _refine(self, found: FoundMotion, pieces: int) -> bool:
         """Descend from a found motion on a curve of more pieces; false if too few rounds are left for that."""

@@ -1,0 +1,101 @@
+"""Joints of a curve stand still where that lowers hydraulic energy, which jumps as a rod begins to move."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from one_joint_search import ended_search
+
+import backhoe_planner as bp
+from backhoe_planner.motion import build_problem, drive_of
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.kinks import LEAST_WIDTH
+from backhoe_planner.planning.descent.own_time import OwnTime
+from backhoe_planner.planning.refining import refining
+from backhoe_planner.planning.refining.refining import Refining
+from backhoe_planner.planning.refining.standstills import with_standstills
+from validation.sites import SiteKey, random_site
+
+START = np.array([-0.5, 0.3, -1.4, -0.8])
+SWING = np.array([1.0, 0.0, 0.0, 0.0])
+DURATION = 8.0  # s
+
+
+@pytest.fixture(scope="module")
+def own_time(backhoe: bp.Robot) -> OwnTime:
+    joints = {"joints": dict(zip(backhoe.joint_names, START.tolist(), strict=True))}
+    content = {"version": 1, "start": joints, "task": {"goal": joints}, "objective": "hydraulic"}
+    problem = build_problem(backhoe, bp.scene_from_dict(content))
+    return OwnTime(problem, drive_of(problem)).looked_at(fine=True)
+
+
+def cost(own_time: OwnTime, curve: JointCurve) -> float:
+    return own_time.cost(curve, DURATION, width=LEAST_WIDTH)
+
+
+@pytest.fixture(scope="module")
+def swing() -> JointCurve:
+    """Only the swing turns."""
+    return JointCurve.straight(START, START + SWING, 12)
+
+
+def test_a_boom_that_creeps_up_while_the_machine_swings_stands_still(own_time: OwnTime, swing: JointCurve) -> None:
+    """By 0.1 mrad, for which the pump needs the boom's pressure for all the oil of the swing."""
+    control = swing.control.copy()
+    control[4:8, 1] += 1e-4
+    creeping = swing.moved_to(control)
+    assert cost(own_time, creeping) > 2.0 * cost(own_time, swing)
+    found = with_standstills(own_time, creeping, DURATION, lambda *_: True)
+    np.testing.assert_array_equal(found.control, swing.control)
+
+
+def test_a_curve_stays_as_it_is_if_no_other_is_allowed(own_time: OwnTime, swing: JointCurve) -> None:
+    control = swing.control.copy()
+    control[4:8, 1] += 1e-4
+    creeping, asked = swing.moved_to(control), list[JointCurve]()
+    assert with_standstills(own_time, creeping, DURATION, lambda curve, _: bool(asked.append(curve))) is creeping
+    assert asked
+    assert all(cost(own_time, curve) < cost(own_time, creeping) for curve in asked)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_standstills_leave_the_ends_and_cost_less(own_time: OwnTime, swing: JointCurve, seed: int) -> None:
+    """Of curves on which all joints move to and fro by some hundredths of a radian."""
+    control = swing.control.copy()
+    control[1:-1] += 0.02 * np.random.default_rng(seed).normal(size=control[1:-1].shape)
+    curve = swing.moved_to(control)
+    found = with_standstills(own_time, curve, DURATION, lambda *_: True)
+    np.testing.assert_array_equal(found.control[[0, -1]], control[[0, -1]])
+    assert cost(own_time, found) < 0.9 * cost(own_time, curve)
+    stays = np.diff(found.control, axis=0) == 0.0
+    assert stays.any()
+    assert not (np.diff(control, axis=0) == 0.0).any()
+
+
+def test_a_plan_for_hydraulic_energy_lets_joints_stand_still(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On this site by a tenth of the energy and more, within the allowed time, and proven."""
+    costs: list[tuple[float, float]] = []
+
+    def count(self: Refining) -> None:
+        before = self._best().cost
+        plain(self)
+        costs.append((before, self._best().cost))
+
+    plain = Refining._let_stand_still
+    monkeypatch.setattr(Refining, "_let_stand_still", count)
+    site = random_site(backhoe, SiteKey("backhoe", "cluttered", "goal", 0, 543001))
+    plan = bp.plan(backhoe, site.scene.model_copy(update={"objective": "hydraulic"}), seed=0)
+    assert plan.verified, plan.message
+    assert plan.findings.allowed_time is not None
+    assert plan.trajectory.duration <= plan.findings.allowed_time
+    assert min(after for _, after in costs) < 0.9 * min(before for before, _ in costs)
+    assert plan.metrics.energy["hydraulic"] == pytest.approx(min(after for _, after in costs), rel=1e-6)
+
+
+def test_a_cost_that_does_not_jump_gets_no_standstills(planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(refining, "with_standstills", lambda *_: pytest.fail("a joint is let stand still"))
+    _, _, search = ended_search(planar4)
+    assert search.best is not None
+    search._refining.run()
