@@ -25,6 +25,7 @@ from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort, OutOfTime, Work
 from backhoe_planner.planning.waypoints import path_within_reach
+from backhoe_planner.planning.world.holding import holds_load
 from backhoe_planner.planning.world.outcome import Outcome, at_rest, bad_start, no_posture
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import Certificate, certify_motion
@@ -326,11 +327,14 @@ def _start(world: World) -> Vector | Outcome:
     count, keep = _LONG_SEARCH * world.work.effort.starting_points, problem.keep
     found = world.postures.at(problem.start_target, count=count)
     failure = no_posture(world, found, problem.start_target, "start_in_collision", "start")
-    if failure is not None or keep is None:
-        return failure or found.clear[0]
-    narrowed = keep.narrowed(problem.start_target)
-    kept = () if narrowed is None else world.postures.at(narrowed, count=count).clear
-    return next((q for q in (*kept, *found.clear) if keep.holds(q)), found.clear[0])
+    if failure is not None:
+        return failure
+    postures = found.clear
+    if keep is not None:
+        narrowed = keep.narrowed(problem.start_target)
+        kept = () if narrowed is None else world.postures.at(narrowed, count=count).clear
+        postures = tuple(q for q in (*kept, *postures) if keep.holds(q)) or postures
+    return postures[int(np.argmax(holds_load(problem, np.array(postures))))]
 
 
 def _begin(world: World) -> Vector:

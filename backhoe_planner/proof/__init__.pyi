@@ -17,6 +17,7 @@ from .limits import LimitName as LimitName
 from .limits import LimitUse as LimitUse
 from .limits import MachineLimit as MachineLimit
 from .limits import describe_ratio as describe_ratio
+from .limits import machine_uses as machine_uses
 from .sequence import certify as certify
 from .sequence import certify_problem as certify_problem
 from .sequence import join_certificates as join_certificates

@@ -16,6 +16,7 @@ MachineLimit = Literal["position", "velocity", "acceleration", "effort", "hydrau
 LimitName = Literal[MachineLimit, "tip_speed", "duration"]
 
 JOINTS_WITHIN = 1e-6  # part of a limit of the joints: rounding
+_ROUNDING = 1e-9  # part of a torque, by which the same sum differs alone and among others
 # part of the required speed; chosen for motions from other programs: plans are timed to within 0.1 %
 _TIP_SPEED_WITHIN = 0.03
 _WITHIN = {
@@ -176,10 +177,11 @@ def _worst(problem: Problem, usage: LimitUsage, *kinds: str) -> LimitUse:
     hydraulics = problem.robot.hydraulics
     if kind == "torque":
         drive, still = drive_of(problem), np.zeros_like(q)
-        torque = drive.use(q, v, moments.a[row : row + 1]).torque
-        limits = drive.torque_limits(q)
+        torque, limits = drive.use(q, v, moments.a[row : row + 1]).torque, drive.torque_limits(q)
+        at_rest = float(drive.static_use(q)[0, index])
+        if abs(ratio - at_rest) <= _ROUNDING * at_rest:  # at rest at one end of the motion
+            torque = drive.rigid_torques(q, still, still)
         available = _finite((limits.positive if torque[0, index] > 0.0 else limits.negative)[0, index])
-        at_rest = float(drive.effort_use(q, drive.rigid_torques(q, still, still))[0, index])
         unit = "N" if turns == "m" else "N m"
         return LimitUse(kind, joint, ratio, time, float(torque[0, index]), available, unit, at_rest)
     if kind in ("velocity", "acceleration"):

@@ -155,6 +155,11 @@ class Drive:
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.where(torque == 0.0, 0.0, np.minimum(np.abs(torque) / there, _MOST)))
 
+    def static_use(self, q: Array) -> Array:
+        """(K, n) the torque that holds the machine and its load still at q (K, n), over the greatest of each joint."""
+        still = np.zeros_like(q)
+        return self.effort_use(q, self.rigid_torques(q, still, still))
+
     def power_use(self, q: Array, v: Array, torque: Array) -> Array:
         """(...) power in the oil over the engine's, at q, v (..., n) with `torque` (..., n) [N m or N]."""
         if self.hydraulics is None:
@@ -333,7 +338,8 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
     """How much of the limits of joints, drive and tip speed a motion uses.
 
     Velocities are those of the faster of the two segments beside a sample, accelerations
-    and torques those of `Trajectory.corner_accelerations`. The tip's speed counts where the tip is
+    and torques those of `Trajectory.corner_accelerations`. Where the motion begins or ends at rest, the torque that
+    holds the machine still counts too: an arm that drops at once takes less. The tip's speed counts where the tip is
     on the path, if the scene limits it.
 
     Parameters
@@ -354,8 +360,11 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
     drive = drive_of(problem)
     if drive.limited:
         use = drive.use_along(moments)
+        resting = [row for row, beside in ((0, trajectory.before), (-1, trajectory.after)) if beside is None]
+        effort = np.array(use.effort)
+        effort[resting] = np.maximum(effort[resting], drive.static_use(moments.q[resting]))
         kinds.append("torque")
-        columns.append(use.effort)
+        columns.append(effort)
         if drive.hydraulics is not None:
             kinds.append("rod speed")
             columns.append(use.speeds)

@@ -25,12 +25,13 @@ from backhoe_planner.machine import (
     solve_batch,
     solve_inverse_kinematics,
 )
-from backhoe_planner.motion import KEPT_TO, TO_THE_RIM, Goal, Keep
+from backhoe_planner.motion import KEPT_TO, TO_THE_RIM, Goal, Keep, Problem
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.moved_targets import move_aside, move_within_reach
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
 from backhoe_planner.planning.world.contradictions import find_contradiction
 from backhoe_planner.planning.world.free_place import find_free_place
+from backhoe_planner.planning.world.holding import holds_load
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture, no_posture, rest_at_start
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import ClearanceScreen
@@ -98,11 +99,25 @@ def find_goal_postures(
             free = find_free_place(world, goals[first].target, near, time=time)
             words[first] += "" if free is None else f"; {free}"
         return Outcome(mildest.trajectory, mildest.reason, _in_short(words, goals), mildest.findings)
+    found, unheld = _held(world.problem, found)
+    failed = [failure.message for failure in failures] + unheld
     rate = world.problem.limits.velocity
     found.sort(key=lambda one: float(np.max(np.abs(one[0] - near) / rate)))
-    return GoalPostures(
-        tuple(q for q, _ in found), tuple(goal for _, goal in found), tuple(failure.message for failure in failures)
-    )
+    return GoalPostures(tuple(q for q, _ in found), tuple(goal for _, goal in found), tuple(failed))
+
+
+def _held(problem: Problem, found: list[tuple[Vector, Goal]]) -> tuple[list[tuple[Vector, Goal]], list[str]]:
+    """Of postures on goals those in which the machine holds its load; all of them if it holds it in none.
+
+    With them, for each goal that is left out by this, why, in words.
+    """
+    held = holds_load(problem, np.array([q for q, _ in found]))
+    if held.all() or not held.any():
+        return found, []
+    kept = [one for one, holds in zip(found, held, strict=True) if holds]
+    there = [goal for _, goal in kept]
+    missing = dict.fromkeys(goal.name for _, goal in found if not any(goal is other for other in there))
+    return kept, [f"no posture was found on the {name} in which the machine can hold its load" for name in missing]
 
 
 def _in_short(words: Sequence[str], goals: Sequence[Goal]) -> str:

@@ -12,12 +12,13 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.digits import beside_bounds
 from backhoe_planner.machine import InverseKinematics, TipTarget, wrap_angle
-from backhoe_planner.motion import TipPath, Trajectory, angles_in_degrees
+from backhoe_planner.motion import Problem, TipPath, Trajectory, angles_in_degrees
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.postures import POSTURE_SPARE, PostureResult
 from backhoe_planner.planning.stretches.stretch import LawWay
 from backhoe_planner.planning.world.clear_joint import find_clear_joint
+from backhoe_planner.planning.world.holding import largest_payload, unheld_load
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.site import Obstruction, range_sources
 
@@ -86,7 +87,20 @@ def by_arc_length(found: Obstruction, path: TipPath) -> Obstruction:
 
 def bad_start(world: World, start: Vector) -> Outcome | None:
     """Why no motion can begin at `start` (n,); None if one can."""
-    return bad_posture(world, start, "start")
+    return bad_posture(world, start, "start") or _not_held(world.problem, start)
+
+
+def _not_held(problem: Problem, start: Vector) -> Outcome | None:
+    """The outcome if the machine cannot hold its load at rest at `start` (n,); None if it can."""
+    unheld = unheld_load(problem, start)
+    if unheld is None:
+        return None
+    most, payload = largest_payload(problem, start), problem.scene.payload
+    if most is None:
+        could = "the machine cannot hold its own weight there"
+    else:
+        could = f"the largest payload that it can hold there is {beside_bounds(most, payload, places='.4g')[0]} kg"
+    return Outcome(at_rest(start), "outside_limits", f"{unheld.describe()}; {could}", Findings(joints=(unheld.joint,)))
 
 
 def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Outcome | None:

@@ -1,0 +1,48 @@
+"""Whether the machine can hold its load where a motion begins and ends at rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.motion import DRIVE_TOLERANCE, Problem, Trajectory, drive_of
+from backhoe_planner.proof import LimitUse, machine_uses
+
+
+def unheld_load(problem: Problem, q: Vector) -> LimitUse | None:
+    """The joint that lacks most to hold arm and payload at rest at `q` (n,) [rad or m]; None if all hold.
+
+    It is what the certificate says of any motion that begins or ends there. Soil does not act on a tip at rest.
+    """
+    _, _, effort, _ = machine_uses(problem, Trajectory.from_steps(np.zeros(1), q[None]))
+    return None if effort is None or effort.kept else replace(effort, time=problem.begins)
+
+
+def holds_load(problem: Problem, q: Matrix) -> Flags:
+    """(N,) in which of the configurations `q` (N, n) [rad or m] every joint holds arm and payload at rest."""
+    drive = drive_of(problem)
+    if not drive.limited:
+        return np.ones(len(q), dtype=bool)
+    return np.asarray(np.max(drive.static_use(q), axis=1) <= 1.0 + DRIVE_TOLERANCE)
+
+
+def largest_payload(problem: Problem, q: Vector) -> float | None:
+    """The largest payload that the machine can hold at rest at `q` (n,) [kg]; None if it cannot even hold itself.
+
+    Static torques are linear in the payload: those without one and those of 1 kg give all others.
+    """
+    scene = problem.scene
+    empty, light = (
+        drive_of(replace(problem, scene=scene.model_copy(update={"payload": mass}))) for mass in (0.0, 1.0)
+    )  # fmt: skip
+    at, still = q[None], np.zeros((1, len(q)))
+    own = empty.rigid_torques(at, still, still)[0]
+    each = light.rigid_torques(at, still, still)[0] - own
+    limits = empty.torque_limits(at)
+    if np.any(own > limits.positive[0]) or np.any(-own > limits.negative[0]):
+        return None
+    left = np.where(each > 0.0, limits.positive[0] - own, limits.negative[0] + own)
+    with np.errstate(divide="ignore"):
+        return float(np.min(left / np.abs(each)))

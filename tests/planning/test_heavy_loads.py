@@ -1,0 +1,139 @@
+"""Loads that the machine cannot hold where a motion begins and ends at rest."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import Dynamics
+from backhoe_planner.motion import build_problem, drive_of, limit_usage
+
+ACROSS = np.array([0.0, 0.2, -0.6, -0.4])  # far out, so that the load has a long lever
+NEAR = np.array([0.0, 0.6, -2.0, -0.9])
+
+
+def posture(robot: bp.Robot, q: Vector) -> dict[str, float]:
+    return dict(zip(robot.joint_names, q.tolist(), strict=True))
+
+
+def use_at_rest(robot: bp.Robot, q: Vector, payload: float) -> float:
+    """The greatest static torque over what the joint's own limit and its cylinder allow in that direction."""
+    torque = Dynamics(robot, payload=payload).torques(q, np.zeros(4), np.zeros(4))
+    assert robot.hydraulics is not None
+    oil = robot.hydraulics.torque_limits(q)
+    allowed = np.minimum(np.where(torque > 0.0, oil.positive, oil.negative), robot.limits.effort)
+    return float(np.max(np.abs(torque) / allowed))
+
+
+def payload_for(robot: bp.Robot, q: Vector, use: float) -> float:
+    """The payload [kg] with which the static torque is `use` times what is allowed at q, by bisection."""
+    low, high = 0.0, 2e4
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if use_at_rest(robot, q, middle) < use else (low, middle)
+    return low
+
+
+def scene(robot: bp.Robot, begin: Vector, task: Any, payload: float, **more: Any) -> bp.Scene:
+    asked = {"version": 1, "start": {"joints": posture(robot, begin)}, "task": task, "payload": payload}
+    return bp.scene_from_dict(asked | more)
+
+
+GOAL = {"goal": {"position": [3.0, 1.5, 0.5]}}
+
+
+@pytest.mark.parametrize(
+    ("task", "method"),
+    [
+        (GOAL, "auto"),
+        (GOAL, "reactive"),
+        (GOAL, "paper"),
+        ({"path": {"waypoints": [{"position": [4.0, 0.0, 0.5]}, {"position": [3.0, 0.0, 0.5]}]}}, "optimal"),
+        ({"sequence": [{"name": "lift", **GOAL}, {"name": "rest", "wait": 1.0}]}, "auto"),
+    ],
+)
+def test_a_load_that_the_start_cannot_hold_is_refused_without_a_search(
+    backhoe: bp.Robot, task: Any, method: str
+) -> None:
+    plan = bp.plan(backhoe, scene(backhoe, ACROSS, task, 4000.0), method=method)
+    assert (plan.verdict, plan.reason) == ("failed", "outside_limits")
+    assert np.all(plan.trajectory.q == ACROSS)
+    assert "boom cannot hold the load at 0.00 s: it takes " in plan.message
+    percent = re.search(r"\((\d+) % of it\)", plan.message)
+    assert percent is not None
+    assert float(percent[1]) == pytest.approx(100.0 * use_at_rest(backhoe, ACROSS, 4000.0), abs=0.5)
+    most = re.search(r"the largest payload that it can hold there is (\S+) kg", plan.message)
+    assert most is not None
+    assert float(most[1]) == pytest.approx(payload_for(backhoe, ACROSS, 1.0), abs=0.5)
+
+
+def test_a_load_that_the_start_can_just_hold_is_planned(backhoe: bp.Robot) -> None:
+    goal = {"goal": {"joints": posture(backhoe, NEAR)}}
+    plan = bp.plan(backhoe, scene(backhoe, ACROSS, goal, payload_for(backhoe, ACROSS, 0.99)), effort="quick")
+    assert plan.verified, plan.message
+
+
+def test_an_arm_that_cannot_hold_itself_says_so(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, scene(backhoe, ACROSS, GOAL, 0.0, limits={"effort": {"boom": 1000.0}}))
+    assert plan.reason == "outside_limits"
+    assert plan.message.endswith("the machine cannot hold its own weight there")
+
+
+@pytest.mark.parametrize("which", ["start", "end"])
+def test_an_arm_that_drops_at_once_or_stops_late_must_hold_its_load_at_rest_too(backhoe: bp.Robot, which: str) -> None:
+    """At a start that it cannot hold, a boom that falls takes less torque, and so does one that rises to a stop."""
+    payload = payload_for(backhoe, ACROSS, 1.03)
+    low = ACROSS - np.array([0.0, 0.4, 0.0, 0.0])
+    part = np.linspace(0.0, 1.0, 61)[:, None]
+    way = ACROSS + (3.0 * part**2 - 2.0 * part**3) * (low - ACROSS)
+    q = way if which == "start" else way[::-1]
+    goal = {"goal": {"joints": posture(backhoe, q[-1])}}
+    motion = bp.Trajectory.from_steps(2.0 * part[:, 0], q)
+    problem = build_problem(backhoe, scene(backhoe, q[0], goal, payload))
+    row = 0 if which == "start" else -1
+    dropping = Dynamics(backhoe, payload=payload).torques(q[row], np.zeros(4), motion.corner_accelerations()[row])
+    assert 0.0 < dropping[1] < drive_of(problem).torque_limits(q[row]).positive[1]
+    usage = limit_usage(problem, motion)
+    assert usage.ratio[row, usage.names.index("torque boom")] == pytest.approx(1.03, abs=1e-6)
+
+
+def test_the_certificate_of_an_arm_at_rest_gives_the_torque_that_holds_it(backhoe: bp.Robot) -> None:
+    payload = payload_for(backhoe, ACROSS, 1.03)
+    part = np.linspace(0.0, 1.0, 61)[:, None]
+    folded = np.array([0.0, 0.0, -1.0, 0.0])  # the lever becomes shorter, so that the start is worst
+    motion = bp.Trajectory.from_steps(6.0 * part[:, 0], ACROSS + (3.0 * part**2 - 2.0 * part**3) * folded)
+    goal = {"goal": {"joints": posture(backhoe, motion.q[-1])}}
+    found = bp.certify(backhoe, scene(backhoe, ACROSS, goal, payload), motion)
+    torque = Dynamics(backhoe, payload=payload).torques(ACROSS, np.zeros(4), np.zeros(4))
+    assert found.effort is not None
+    assert (found.effort.joint, found.effort.time) == ("boom", 0.0)
+    assert found.effort.needed == pytest.approx(torque[1])
+    assert found.effort.ratio == pytest.approx(1.03, abs=1e-6)
+    assert found.problems[-1].startswith("boom cannot hold the load at 0.00 s: it takes ")
+
+
+def test_of_several_goals_those_count_on_which_the_load_is_held(backhoe: bp.Robot) -> None:
+    """The posture far out is the nearer one, but the load is too heavy there."""
+    begin = NEAR + np.array([0.6, 0.0, 0.0, 0.0])
+    payload = payload_for(backhoe, ACROSS, 1.05)
+    assert use_at_rest(backhoe, begin, payload) < 1.0
+    assert use_at_rest(backhoe, NEAR, payload) < 1.0
+    goals = {"goal": [{"joints": posture(backhoe, ACROSS)}, {"joints": posture(backhoe, NEAR)}]}
+    plan = bp.plan(backhoe, scene(backhoe, begin, goals, payload), effort="quick")
+    assert plan.verified, plan.message
+    assert plan.certificate.goal == 2
+    assert "no posture was found on the goal 1 in which the machine can hold its load" in plan.message
+
+
+def test_a_start_of_the_tip_is_a_posture_that_holds_the_load(backhoe: bp.Robot) -> None:
+    """With the tip high up, the bucket may point up or down, and the lever of the load differs by a third."""
+    task = {"goal": {"joints": posture(backhoe, NEAR)}}
+    given = scene(backhoe, NEAR, task, 1500.0, start={"tip": {"position": [4.2, 0.0, 2.8]}})
+    plan = bp.plan(backhoe, given, effort="quick")
+    assert use_at_rest(backhoe, plan.trajectory.q[0], 1500.0) <= 1.01
+    assert plan.verified, plan.message
