@@ -285,11 +285,10 @@ def _same_key_around(
 ) -> KeyPath | None:
     """The place of the last key of `loc` in the nearest record around that may have it and has not; None if none is."""
     key = loc[-1]
+    places = [_place_in_file(loc[:end], content, missing=False) for end in range(len(loc))]
     for end in range(len(loc) - 1, 0, -1):
-        place = _place_in_file(loc[:end], content, missing=False)
-        is_key = isinstance(loc[end - 1], str) and len(place) > len(
-            _place_in_file(loc[: end - 1], content, missing=False)
-        )
+        place = places[end]
+        is_key = isinstance(loc[end - 1], str) and len(place) > len(places[end - 1])
         if is_key and key in fields_of(record_at(loc[:end], root, tagged)) and key not in _at(place[:-1], content):
             return (*place[:-1], key)
     return None

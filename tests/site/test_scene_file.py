@@ -372,8 +372,12 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "a rate for ages": (scene(limits={"velocity": {"boom": 1e-300}}), ["limits.velocity.boom", "is too slow: 1e-300"]),
     "a scale for ages": (scene(limits={"velocity_scale": 1e-6}), ["limits.velocity_scale", "at least 0.0001"]),
     "list in a list of goals": (
-        scene(task={"goal": [[1, 2, 3]]}),
+        scene(task={"goal": [[{"position": [1, 2, 3]}]]}),
         ["task.goal[0]: is a list; allowed: {key: value, ...}"],
+    ),
+    "three numbers in a list of goals": (
+        scene(task={"goal": [[1, 2, 3]]}),
+        ["task.goal[0]: is a list of numbers; allowed: {position: [1, 2, 3]}"],
     ),
     "finer than is measured": (goal(tolerance=1e-13), ["task.goal.tolerance", "found 1e-13"]),
     "range of one": (scene(limits={"position": {"boom": [0.1]}}), ["limits.position.boom"]),
@@ -446,6 +450,14 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "two of one name": (
         scene(obstacles=[SPHERE, SPHERE]),
         ["obstacles[1].name: is the name of obstacles[0]; found boulder"],
+    ),
+    "goal of three numbers": (
+        scene(task={"goal": [2.4, 3, 1.2]}),
+        ["site/trench.yaml: task.goal: is a list of numbers; allowed: {position: [2.4, 3, 1.2]}"],
+    ),
+    "waypoint of three numbers": (
+        scene(task={"path": {"waypoints": [POINTS[0], [3, 0, 1]]}}),
+        ["task.path.waypoints[1]: is a list of numbers; allowed: {position: [3, 0, 1]}"],
     ),
     "several at once": (scene(clearence=1, payload=-1), ["2 problems", "clearence", "payload"]),
 }

@@ -32,6 +32,11 @@ _UPRIGHT = 1e-12  # of a cosine: a frame whose z axis leans less counts as uprig
 SLOWEST = 1e-4  # m/s of the tip; chosen: no digging is as slow
 
 
+def _is_place(found: object) -> bool:
+    """Whether this is the place of a tip without the key that says so."""
+    return isinstance(found, (list, tuple)) and len(found) == 3 and all(type(one) in (int, float) for one in found)
+
+
 class Pose(Record):
     """A pose of the tip, which may be specified in part."""
 
@@ -45,6 +50,13 @@ class Pose(Record):
     """Full orientation [w, x, y, z]."""
 
     _check_quaternion = field_validator("quaternion")(unit_quaternion)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_keys(cls, found: Any) -> Any:
+        if _is_place(found):
+            raise ValueError(f"is a list of numbers; allowed: {{position: {list(found)}}}")
+        return found
 
     @model_validator(mode="after")
     def _one_orientation(self) -> Pose:
@@ -196,7 +208,7 @@ class JointsGoal(Record):
 
 
 def _kind_of_goal(found: object) -> str:
-    if isinstance(found, (list, tuple)):
+    if isinstance(found, (list, tuple)) and not _is_place(found):
         return "list"
     by_joints = "joints" in found if isinstance(found, Mapping) else isinstance(found, JointsGoal)
     return "JointsGoal" if by_joints else "Goal"
