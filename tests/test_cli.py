@@ -120,6 +120,15 @@ def test_rows_of_a_sequence_name_their_leg_and_show_its_own_objective(run: Run, 
         assert re.search(r"leg +out +[\d.]+ s, kinetic [\d.]+ J s, margin", said)
         assert re.search(r"leg +stand +0\.50 s, margin", said)
         assert re.search(r"leg +back +[\d.]+ s, margin", said)
+    searched = re.compile(
+        r"^leg +out .*\n +at most [\d.]+ s was allowed by the planner, which limits it: max_duration may allow more; "
+        r"\d+ % less than a motion of [\d.]+ s, which takes [\d.]+ J s\nleg +stand ", re.M
+    )  # fmt: skip
+    assert searched.search(planned)
+    assert (
+        planned.count("was allowed by") == planned.count("less than a motion of") == 1
+    )  # not of a wait, nor of a time
+    assert "was allowed by" not in checked
     assert re.search(r"duration +[\d.]+ % of max_duration \(20 s, leg out\)", checked)
     assert re.search(r"\(margin \+\d\.\d{3} m, at [\d.]+ s, leg (out|stand|back)\)", planned)
     assert re.search(r"margin \[m\] +at \[s\] +leg *\n", checked)

@@ -42,7 +42,7 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     _print_tracking_error(found)
     if moves:  # a machine already at its goal has a motion of 0 s
         _print_motion(found)
-    _print_legs(found)
+    _print_legs(found, with_search=True)
     OUT.print(f"planned in    {metrics.planning_time:.2f} s ({found.settings})")
     if found.advice:
         OUT.print(f"              {found.advice}")
@@ -63,8 +63,11 @@ def _print_clearances(certificate: bp.Certificate, *, moves: bool) -> None:
         label = ""
 
 
-def _print_legs(found: bp.Plan) -> None:
-    """Print a line for each leg of a sequence: duration, cost, tightest margin; nothing if there are no legs."""
+def _print_legs(found: bp.Plan, *, with_search: bool) -> None:
+    """Print a line for each leg of a sequence: duration, cost, tightest margin; nothing if there are no legs.
+
+    With the search, a second line says how long the leg was allowed to take, and what it saves.
+    """
     width = max((len(leg.name) for leg in found.legs), default=0)
     for leg in found.legs:
         tightest = leg.certificate.obstacle_clearance or leg.certificate.self_clearance
@@ -80,6 +83,9 @@ def _print_legs(found: bp.Plan) -> None:
         OUT.print(
             f"leg           {leg.name:<{width}}  {leg.metrics.duration:6.2f} s{cost}{near}{error}{carried}{wrong}"
         )
+        searched = "; ".join(filter(None, (leg.allowed_time, leg.saving)))
+        if searched and with_search:
+            OUT.print(f"{'':<14}{'':<{width}}  {searched}")
 
 
 def _of_leg(name: str) -> str:
@@ -179,7 +185,7 @@ def print_certificate(plan: bp.Plan) -> None:
             kept = f"; up to {most} % is kept" if use.ratio > 1.0 and most != "100" else ""
             when = f"{use.time:.2f} s{_of_leg(use.leg)}"
             OUT.print(f"{kind:<13}{use.percent:>5} % of {limit} at most ({where}, {when}{kept})")
-    _print_legs(plan)
+    _print_legs(plan, with_search=False)
     _print_reactions(plan)
     print_recording(plan)
     if not live.is_recording(plan):

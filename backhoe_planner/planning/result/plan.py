@@ -91,6 +91,16 @@ class PlannedLeg:
             return ""
         return f"{cost.objective} {describe_quantity(cost.value, cost.unit)}"
 
+    @property
+    def allowed_time(self) -> str:
+        """How long it was allowed to take; see `Plan.allowed_time`."""
+        return _allowed_time(self.findings, self.problem, self.trajectory.duration)
+
+    @property
+    def saving(self) -> str:
+        """How much less it costs than the fast motion from which its search began; see `Plan.saving`."""
+        return _saving(self.findings, self.metrics) if self.certificate.verified else ""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
@@ -216,14 +226,7 @@ class Plan:
         If it does, and the planner set that time, the key of the scene that may allow more is named. Empty if the time
         is minimised. Otherwise a slower motion mostly costs less, and the planner sets a limit.
         """
-        longest = self.findings.allowed_time
-        if longest is None:
-            return ""
-        binds = self.trajectory.duration >= _BINDS * longest
-        by_scene = longest >= self.problem.max_duration
-        by = "max_duration" if by_scene else "the planner"
-        more = "" if by_scene else ": max_duration may allow more"
-        return f"at most {longest:.2f} s was allowed by {by}" + f", which limits it{more}" * binds
+        return _allowed_time(self.findings, self.problem, self.trajectory.duration)
 
     @property
     def saving(self) -> str:
@@ -231,11 +234,7 @@ class Plan:
 
         Empty if the time is minimised, along a path, for a plan that is not verified, and for less than 1 %.
         """
-        fast, cost = self.findings.fast, self.metrics.cost
-        if fast is None or cost is None or not self.verified or cost.value > _SAVES * fast.cost:
-            return ""
-        less = describe_saving(100.0 * (1.0 - cost.value / fast.cost))
-        return f"{less} than a motion of {fast.duration:.2f} s, which takes {describe_quantity(fast.cost, cost.unit)}"
+        return _saving(self.findings, self.metrics) if self.verified else ""
 
     @property
     def settings(self) -> str:
@@ -284,6 +283,27 @@ class Plan:
         check_record(path, self.input_files)
         with whole_file(path) as stream:
             stream.write(_record(self, path.parent).model_dump_json() + "\n")
+
+
+def _allowed_time(findings: Findings, problem: Problem, duration: float) -> str:
+    """See `Plan.allowed_time`; `duration` is that of the motion [s]."""
+    longest = findings.allowed_time
+    if longest is None:
+        return ""
+    binds = duration >= _BINDS * longest
+    by_scene = longest >= problem.max_duration
+    by = "max_duration" if by_scene else "the planner"
+    more = "" if by_scene else ": max_duration may allow more"
+    return f"at most {longest:.2f} s was allowed by {by}" + f", which limits it{more}" * binds
+
+
+def _saving(findings: Findings, metrics: Metrics) -> str:
+    """See `Plan.saving`."""
+    fast, cost = findings.fast, metrics.cost
+    if fast is None or cost is None or cost.value > _SAVES * fast.cost:
+        return ""
+    less = describe_saving(100.0 * (1.0 - cost.value / fast.cost))
+    return f"{less} than a motion of {fast.duration:.2f} s, which takes {describe_quantity(fast.cost, cost.unit)}"
 
 
 def planned_legs(
@@ -345,7 +365,7 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
             "the URDF is not the one with which the plan was made",
             file=file,
             key="robot.sha256",
-            found=f"{robot.urdf.path} has {robot.urdf.sha256[:12]}...",
+            found=f"{robot.urdf.source} has {robot.urdf.sha256[:12]}...",
             allowed=f"{record.robot.sha256[:12]}...",
         )
     if record.robot.joints != robot.joint_names:

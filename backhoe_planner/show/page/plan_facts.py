@@ -74,8 +74,8 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
 
 
 def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
-    """Duration, cost and tightest margin of one leg of a sequence."""
-    words = [leg.cost] if leg.cost else []
+    """Duration, cost, what its search found, and tightest margin of one leg of a sequence."""
+    words = [word for word in (leg.cost, leg.saving, leg.allowed_time) if word]
     tightest = leg.certificate.obstacle_clearance or leg.certificate.self_clearance
     if tightest is not None:
         words.append(f"{_metres(tightest.margin)} m left between {tightest.link} and {tightest.name}")
