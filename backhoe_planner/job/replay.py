@@ -71,7 +71,7 @@ def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] 
     if site.robot.urdf.sha256 != record.sha256:
         raise RobotError(
             "the URDF is not the one with which the job was planned", file=file, key="sha256",
-            found=f"{site.robot.urdf.path} has {site.robot.urdf.sha256[:12]}...", allowed=f"{record.sha256[:12]}...",
+            found=f"{site.robot.urdf.source} has {site.robot.urdf.sha256[:12]}...", allowed=f"{record.sha256[:12]}...",
         )  # fmt: skip
     _check_pattern(record, site, file)
     with _errors_of(file, "job"):

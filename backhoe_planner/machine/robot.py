@@ -525,7 +525,7 @@ def _check_inertias(urdf: Urdf, model: pin.Model) -> None:
         moments = np.linalg.eigvalsh(model.inertias[joint].inertia)
         if moments[0] < -_INERTIA_ROUNDING * np.abs(moments).max():
             raise RobotError(
-                "has a negative principal moment of inertia", file=urdf.path,
+                "has a negative principal moment of inertia", file=urdf.named,
                 key=f"link {urdf.joints[model.names[joint]].child!r} with what is fixed to it",
                 found=f"{moments[0]:.4g} kg m^2", allowed="0 or more",
             )  # fmt: skip

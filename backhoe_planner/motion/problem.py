@@ -135,7 +135,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
     if not robot.moving_links:
         raise RobotError(
             "no link that moves has a shape, so that nothing can be proven: the URDF needs <collision> or <visual>",
-            file=robot.urdf.path,
+            file=robot.urdf.named,
             key="link",
         )
     obstacles = build_obstacles(scene, robot)

@@ -180,6 +180,14 @@ def test_several_ends_without_a_tip_are_an_error_that_lists_them(tmp_path: Path)
     assert str(tmp_path / "tiny.urdf") in str(caught.value)
 
 
+def test_an_example_robot_is_named_in_errors_as_the_user_named_it() -> None:
+    for tip, said in ((None, "the URDF has several ends"), ("nope", "the URDF has no such link; found nope")):
+        with pytest.raises(RobotError) as caught:
+            load_robot("example:panda", tip=tip)
+        assert str(caught.value).startswith(f"example:panda: tip: {said}")
+        assert "share" not in str(caught.value)
+
+
 def test_an_end_that_no_joint_moves_cannot_be_the_tip(tmp_path: Path) -> None:
     fixed, left = joint("f", "fixed", "a", "plate"), joint("l", "revolute", "a", "left")
     assert load(tmp_path, fixed, left, links="a plate left").tip == "left"

@@ -50,7 +50,7 @@ def chain_model(urdf: Urdf, tip: str | None, hold: Mapping[str, float], base: Ba
     tip = _find_tip(urdf, tip)
     moving = [joint.name for joint in urdf.chain(tip) if joint.type != "fixed"]
     if not moving:
-        raise RobotError("no joint moves the tip", file=urdf.path, key="tip", found=tip)
+        raise RobotError("no joint moves the tip", file=urdf.named, key="tip", found=tip)
     held = held_joints(urdf, tip, hold)
     if {joint.name for joint in held}.issuperset(moving):
         raise InputError(
@@ -73,13 +73,13 @@ def _find_tip(urdf: Urdf, tip: str | None) -> str:
             return ends[0]
         raise RobotError(
             "the URDF has several ends; say which one is the tip",
-            file=urdf.path,
+            file=urdf.named,
             key="tip",
             allowed=", ".join(ends),
             hint="`tip:` in the scene file, --tip for inspect, tip= in the library",
         )
     if tip not in links:
-        raise RobotError.unknown_name("the URDF has no such link", tip, names=links, file=urdf.path, key="tip")
+        raise RobotError.unknown_name("the URDF has no such link", tip, names=links, file=urdf.named, key="tip")
     return tip
 
 
@@ -108,7 +108,7 @@ def _model(urdf: Urdf, held: Mapping[str, float]) -> pin.Model:
     try:
         return pin.buildModelFromXML(etree.tostring(root).decode())
     except ValueError as error:
-        raise RobotError(f"Pinocchio cannot build a model of it: {error}", file=urdf.path) from error
+        raise RobotError(f"Pinocchio cannot build a model of it: {error}", file=urdf.named) from error
 
 
 def _place(model: pin.Model, T_world_root: pin.SE3) -> None:

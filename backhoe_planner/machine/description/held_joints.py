@@ -89,12 +89,12 @@ class _Standing:
             if joint.mimic is not None and self._leader(joint) is None:
                 raise RobotError(
                     f"copies joint {joint.mimic.joint!r}, which copies it in turn or does not exist",
-                    file=urdf.path, key=f"joint {joint.name!r}", found="<mimic>",
+                    file=urdf.named, key=f"joint {joint.name!r}", found="<mimic>",
                 )  # fmt: skip
             if joint.mimic is not None and joint.name in self.moving:
                 raise RobotError(
                     f"copies joint {joint.mimic.joint!r}: mimic joints are not supported between the root and the tip",
-                    file=urdf.path,
+                    file=urdf.named,
                     key=f"joint {joint.name!r}",
                     found="<mimic>",
                     hint=f"unless what they copy is held: `hold: {{{self._leader(joint)}: ...}}` in the scene",
@@ -112,7 +112,7 @@ class _Standing:
             raise RobotError(
                 f"copies joint {leader!r}, which moves the tip: mimic joints beside the arm are supported "
                 "only where the joint that they copy does not move the tip",
-                file=self._urdf.path,
+                file=self._urdf.named,
                 key=f"joint {name!r}",
                 found="<mimic>",
                 hint="without the <mimic> and with the type fixed, its link stands still on its parent",

@@ -150,7 +150,7 @@ def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
             try:
                 solids = _solids_of(urdf, shape.geometry)
             except InputError as error:
-                raise RobotError(str(error), file=urdf.path, key=f"link {link.name!r} > {kind}") from error
+                raise RobotError(str(error), file=urdf.named, key=f"link {link.name!r} > {kind}") from error
             size = max((solid.size for solid in solids), default=0.0)
             mesh = shape.geometry.mesh
             if mesh is not None and apart and not _TINY * apart <= size <= _LARGE * apart:

@@ -71,6 +71,11 @@ class Urdf:
     robot: Tree
     acceleration: dict[str, float]
 
+    @property
+    def named(self) -> Path:
+        """The file in messages: as the user named it, ``example:NAME`` too."""
+        return Path(self.source)
+
     def source_from(self, folder: Path | None) -> str:
         """How a file in `folder` names it: ``example:NAME`` for a shipped model, otherwise the path from there."""
         if self.source.startswith("example:"):
@@ -183,19 +188,19 @@ def read_urdf(source: str | os.PathLike[str]) -> Urdf:
         has a type that is not supported or has no limits; a number is not finite; a mesh
         does not exist. The message names the file and the element.
     """
-    path = _locate(os.fspath(source))
+    path, named = _locate(os.fspath(source)), Path(source)
     try:
         data = path.read_bytes()
     except OSError as error:
         raise RobotError(f"cannot be read: {error.strerror}", file=path) from error
-    root = _parse_xml(data, path)
-    _check_numbers(root, path)
-    _check_complete(root, path)
+    root = _parse_xml(data, named)
+    _check_numbers(root, named)
+    _check_complete(root, named)
     _fill_limits(root)
-    tree = _read_tree(root, path)
-    _check_tree(tree, path)
+    tree = _read_tree(root, named)
+    _check_tree(tree, named)
     for joint in tree.joints:
-        _check_joint(joint, path)
+        _check_joint(joint, named)
     urdf = Urdf(
         source=os.fspath(source),
         path=path,
@@ -493,4 +498,4 @@ def _check_meshes(urdf: Urdf) -> None:
                 if mesh.filename.startswith("package://"):
                     hint = "the package's folder must be above the URDF or in ROS_PACKAGE_PATH"
                 key = f"link {link.name!r} > {kind}"
-                raise RobotError("mesh file not found", file=urdf.path, key=key, found=mesh.filename, hint=hint)
+                raise RobotError("mesh file not found", file=urdf.named, key=key, found=mesh.filename, hint=hint)

@@ -96,6 +96,6 @@ def check_meshes_travel(robots: tuple[Robot, ...]) -> None:
             mesh = None if shape.geometry is None else shape.geometry.mesh
             if mesh is not None and mesh.filename.removeprefix("file://").startswith("/"):
                 raise StudyError(
-                    "names a mesh by its place on this computer, where no other finds it", file=robot.urdf.path,
+                    "names a mesh by its place on this computer, where no other finds it", file=robot.urdf.named,
                     found=mesh.filename, allowed="a path relative to the URDF, or package://...",
                 )  # fmt: skip
