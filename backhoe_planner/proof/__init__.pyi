@@ -3,6 +3,7 @@ from .certificate import LegCertificate as LegCertificate
 from .certificate import certify_motion as certify_motion
 from .certificate import describe_step as describe_step
 from .clearances import AT_CLEARANCE as AT_CLEARANCE
+from .clearances import KEPT_WITHIN as KEPT_WITHIN
 from .clearances import STEP_ROUNDING as STEP_ROUNDING
 from .clearances import TOUCH as TOUCH
 from .clearances import motion_is_clear as motion_is_clear

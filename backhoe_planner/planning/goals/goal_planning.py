@@ -12,6 +12,7 @@ from backhoe_planner.law import run_iteration
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goals.allowed_time import bound_for_allowed_time
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, aimed, find_goal_postures
+from backhoe_planner.planning.goals.only_way import blocked_way
 from backhoe_planner.planning.goals.searches import Searched, search_motion
 from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
@@ -60,6 +61,9 @@ class ToGoal:
         too_short = self._too_short(world, stepper)
         if too_short is not None:
             return too_short
+        blocked = blocked_way(world, stepper.q, found, time=stepper.time)
+        if blocked is not None:
+            return replace(blocked, trajectory=stepper.trajectory())
         searched = search_motion(world, stepper.q, found, self.goals, time=stepper.time)
         best, ended = searched.best, searched.ended
         if best is not None:
