@@ -6,6 +6,7 @@ from .cuts.finding import find_cut as find_cut
 from .cuts.profile import Profile as Profile
 from .cycles.dumping import postures_over as postures_over
 from .estimates import CLOSE as CLOSE
+from .ground.grids import lattice_within as lattice_within
 from .ground.grids import nearest_columns as nearest_columns
 from .ground.heaps import Refusal as Refusal
 from .ground.heaps import deposited as deposited

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix, Vector
-from backhoe_planner.job import nearest_columns
+from backhoe_planner.job import lattice_within, nearest_columns
 from backhoe_planner.machine import Base, Robot
 
 _CELL = 0.05  # m, cell of the grid of distances: that of the ground
@@ -42,10 +42,7 @@ class MachineFootprint:
         x, y = (self._low[axis] + _CELL * np.arange(count[axis]) for axis in (0, 1))
         covered = np.zeros((len(y), len(x)), dtype=bool)
         for outline in self.outlines:
-            inside = np.ones_like(covered)
-            for corner, edge in zip(outline, np.roll(outline, -1, axis=0) - outline, strict=True):
-                inside &= (edge[0] * (y - corner[1]))[:, None] - edge[1] * (x - corner[0]) >= -1e-9
-            covered |= inside
+            covered |= lattice_within(x, y, outline)
         self._distance = _CELL * np.asarray(distance_transform_edt(~covered))
 
     def distances(self, base: Base, points: Array) -> Array:

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Matrix, Vector, as_number
+from backhoe_planner.arrays import Matrix, Vector, as_number
 from backhoe_planner.digits import beside_bounds
 from backhoe_planner.errors import InputError
+from backhoe_planner.job.ground.grids import lattice_within
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import LIP, bucket_width
 
@@ -169,9 +170,9 @@ class _Section:
         middle = self.outline.mean(axis=0) - self.opening[0]
         below = side * (along[0] * middle[1] - along[1] * middle[0]) > 0.0
         x, y = axes
-        free = _within(x, y, self.outline)
+        free = lattice_within(x, y, self.outline).T
         for plate in self.plates:
-            free &= ~_within(x, y, plate)
+            free &= ~lattice_within(x, y, plate).T
         free = below & free.ravel()
         if not free.any():
             return 0.0, np.asarray(0.5 * self.opening.sum(axis=0) @ self.frame[:2])
@@ -238,11 +239,3 @@ def _hull(points: Matrix) -> Matrix:
 
 def _turn(a: Vector, b: Vector, c: Vector) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
-
-
-def _within(x: Vector, y: Vector, corners: Matrix) -> Flags:
-    """(k, m) whether points of a lattice x (k,), y (m,) are in a convex polygon, its `corners` counter-clockwise."""
-    found = np.ones((len(x), len(y)), dtype=bool)
-    for corner, side in zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True):
-        found &= side[0] * (y - corner[1]) >= (side[1] * (x - corner[0]))[:, None]
-    return found

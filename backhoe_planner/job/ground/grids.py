@@ -15,6 +15,7 @@ from backhoe_planner.errors import InputError
 CELL = 0.05  # m, edge of a column by default; chosen: a twelfth of a bucket's width
 _FINEST, _COARSEST = 0.005, 5.0  # m; chosen: finer or coarser grids are of no use for a trench
 MOST_COLUMNS = 4_000_000  # as for a height map in a scene
+_ON_BORDER = 1e-9  # m^2: rounding of the product of a side and a distance
 _NO_FURTHER = 1e-6  # cells: a point on the border of a grid is in it, despite rounding
 
 
@@ -156,6 +157,20 @@ def nearest_columns(points: Array, low: Vector, cell: float, shape: tuple[int, .
     place = np.round((points - low) / cell).astype(np.int64)
     nearest = np.clip(place, 0, np.array(shape[1::-1]) - 1)
     return nearest[..., 1], nearest[..., 0], np.asarray((place == nearest).all(axis=-1))
+
+
+def lattice_within(x: Vector, y: Vector, corners: Matrix) -> Flags:
+    """(k, m) whether the points of a lattice are in a convex polygon; those on its border are.
+
+    Parameters
+    ----------
+    x, y: (m,) and (k,) coordinates of the lattice's columns and rows [m].
+    corners: (c, 2) of the polygon, counter-clockwise [m].
+    """
+    found = np.ones((len(y), len(x)), dtype=bool)
+    for corner, side in zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True):
+        found &= (side[0] * (y - corner[1]))[:, None] - side[1] * (x - corner[0]) >= -_ON_BORDER
+    return found
 
 
 def resampled(grid: HeightGrid, onto: HeightGrid) -> HeightGrid:
