@@ -73,8 +73,9 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     bounds = _bounds_at(proximity, q[firsts], time[firsts])
     for row, known, pairs in zip(firsts.tolist(), bounds, _nearest(owners, bounds), strict=True):
         moment = float(time[row])
-        pairs = pairs[proximity.appears_at[pairs] <= moment]
         floor = least[owners[pairs]] + proximity.clearance[pairs]
+        counts = (proximity.appears_at[pairs] <= moment) & (known[pairs] < floor)
+        pairs, floor = pairs[counts], floor[counts]
         distances = proximity.distances_below_unchecked(pairs, floor, q[row], time=moment)
         note(row, pairs, distances - proximity.clearance[pairs])
         floor = np.where(proximity.appears_at <= moment, enough + proximity.clearance, -np.inf)

@@ -107,7 +107,7 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
     InputError: the file of a mesh is gone.
     """
     centre, radius = reach_ball(robot)
-    found, out_of_reach, within_reach = list[str](), list[str](), False
+    found, out_of_reach, within_reach = list[str](), dict[str, float](), False
     for obstacle in obstacles:
         away = obstacle.box_away_unchecked(centre)
         if overhead := _ground_overhead(obstacle, centre + np.array([0.0, 0.0, radius])):
@@ -115,7 +115,8 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
             continue
         if isinstance(obstacle.spec, _SURVEYS):
             within_reach |= away <= radius
-            out_of_reach += [obstacle.name] if radius < away <= _FAR * radius else []
+            if radius < away <= _FAR * radius:
+                out_of_reach[obstacle.name] = away
         if _FAR * radius < away < np.inf:
             found.append(
                 f"{obstacle.name} is {away:,.0f} m away, {away / radius:,.0f} times as far as the machine reaches; "
@@ -132,7 +133,8 @@ def obstacle_warnings(robot: Robot, obstacles: Iterable[Obstacle]) -> tuple[str,
             )
     if out_of_reach and not within_reach:
         found.append(
-            f"the machine reaches nothing of {', '.join(out_of_reach)}: does it stand elsewhere on the survey?"
+            f"the machine reaches nothing of {', '.join(out_of_reach)}: the nearest part is "
+            f"{min(out_of_reach.values()):.0f} m away; does the machine stand elsewhere on the survey?"
         )
     return tuple(found)
 

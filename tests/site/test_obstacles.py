@@ -73,7 +73,7 @@ def test_surveys_out_of_reach_give_one_warning_and_none_beside_one_within_reach(
     scan: dict[str, object] = {"shape": "pointcloud", "file": "wall.xyz", "resolution": 0.2}
     far, near = ([build(planar4, tmp_path, **scan, position=[x, 0.0, 0.0])] for x in (20.0, 3.0))
     (warning,) = obstacle_warnings(planar4, far)
-    assert "reaches nothing of thing" in warning
+    assert "reaches nothing of thing: the nearest part is 20 m away; does the machine stand elsewhere" in warning
     assert obstacle_warnings(planar4, [*far, *near]) == ()
 
 
@@ -610,6 +610,9 @@ def test_a_survey_in_map_coordinates_is_refused_with_the_map_origin_to_write(pla
         assert f"`map_origin: {written}` puts" in str(caught.value)
         found = build(planar4, tmp_path, **keys, map_origin=[float(x) for x in written.strip("[]").split(",")])
         assert np.abs(extent(found)).max() < 10.0
+    said = r"coordinate 1: a coordinate less map_origin \[5400001\.0, 500003\.0, 300\.0\] is too large; found -4\.9"
+    with pytest.raises(SceneError, match=said):
+        build(planar4, tmp_path, shape="pointcloud", file="scan.xyz", resolution=0.1, map_origin=[5400001, 500003, 300])
     with pytest.raises(InputError, match=r"subtract \[500001, 5400003, 300\] from all points"):
         read_points(tmp_path / "scan.xyz")
 

@@ -19,7 +19,6 @@ moved by dq, so pairs that are provably still out of reach are not measured agai
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 
@@ -38,10 +37,10 @@ from backhoe_planner.site.pairs.approach import ApproachBounds
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
 from backhoe_planner.site.pairs.hull_distances import HullDistances, NearInEach
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
-from backhoe_planner.site.pairs.nearby import Lead, Nearby, near_rows, pairs_within, reach_of_lead
+from backhoe_planner.site.pairs.nearby import Lead, Nearby, as_pairs, near_rows, pairs_within, reach_of_lead
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
 from backhoe_planner.site.pairs.planes import SeparatingPlanes
-from backhoe_planner.site.pairs.reachable import distances_from_ball
+from backhoe_planner.site.pairs.reachable import distances_from_ball, measured_where_tightest
 from backhoe_planner.site.pairs.ways import link_ways
 
 _MANY = 3_000  # pairs, beyond which examining each of them takes too much memory; chosen
@@ -438,7 +437,12 @@ class Proximity:
         q, time = self._checked(q, time)
         if not self.pairs:
             return None
-        distances = self.distances(q, time=time)
+        if self._geometry.is_whole or self._some_appear:
+            distances = self.distances(q, time=time)
+        else:
+            distances = measured_where_tightest(
+                self.floor, self.clearance, lambda pairs: self.distances_of_unchecked(pairs, q, time=time)
+            )
         index = int(np.argmin(distances - self.clearance))
         exact: set[int] = set()
         while index >= self.plain and EXACT_WITHIN <= distances[index] < np.inf and index not in exact:
@@ -502,7 +506,7 @@ class Proximity:
 
         For a cluster further away than `EXACT_WITHIN` it is a lower bound.
         """
-        pairs = self._checked_pairs(pairs)
+        pairs = as_pairs(pairs, len(self.pairs))
         q, time = self._checked(q, time)
         return self.distances_of_unchecked(pairs, q, time=time)
 
@@ -555,14 +559,6 @@ class Proximity:
         """`q` (n,) and `time`, which a caller may give as a list and an int."""
         q = as_vector(q, self._n, key="q", names=self.robot.joint_names)
         return q, time if isinstance(time, float) and time == self._time else as_number(time, key="time")
-
-    def _checked_pairs(self, pairs: Indices) -> Indices:
-        found = np.asarray(pairs)
-        wrong = found.ndim != 1 or found.dtype.kind not in "iu" or ((found < 0) | (found >= len(self.pairs))).any()
-        if wrong and found.shape != (0,):
-            allowed = f"whole numbers from 0 to {len(self.pairs) - 1}"
-            raise InputError("are not indices of pairs", key="pairs", found=reprlib.repr(pairs), allowed=allowed)
-        return found
 
     def _place(self, q: Vector, time: float) -> None:
         self.cover_unchecked(q)

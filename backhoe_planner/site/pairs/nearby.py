@@ -20,6 +20,16 @@ _SUMS[:6] = np.eye(6)
 _SUMS[6:, 3:] = -np.eye(3)
 
 
+def as_pairs(pairs: Indices, count: int) -> Indices:
+    """`pairs` (K,) if they are numbers of some of `count` pairs; raises InputError if they are not."""
+    found = np.asarray(pairs)
+    wrong = found.ndim != 1 or found.dtype.kind not in "iu" or ((found < 0) | (found >= count)).any()
+    if wrong and found.shape != (0,):
+        allowed = f"whole numbers from 0 to {count - 1}"
+        raise InputError("are not indices of pairs", key="pairs", found=reprlib.repr(pairs), allowed=allowed)
+    return found
+
+
 def distance_gradients(found: Matrix, J: Matrix) -> Matrix:
     """(K, n) n . J_1 for the results `found` (K, 10) of pairs: how fast each joint moves the link's point along n.
 

@@ -99,6 +99,11 @@ class PairGeometry:
         self._placed: set[int] = set()
         self._only = self._part(0) if len(self._members) == 1 else None
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether all pairs are in one part."""
+        return self._only is not None
+
     def parts_with(self, asked: Flags) -> Iterator[GeometryPart]:
         """The parts that have any of the pairs for which `asked` (P,) is true."""
         for number, pairs in enumerate(self._pairs):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Indices, Vector
 from backhoe_planner.machine.shape import shapes
 
 
@@ -30,3 +30,20 @@ def distances_from_ball(bodies: Sequence[shapes.Piece], centre: Vector, radius: 
             n = body.placement.rotation @ body.shape.n
             found[index] = n @ (centre - body.placement.translation) - body.shape.d - radius
     return np.where(found > 0.0, found, -np.inf)
+
+
+def measured_where_tightest(floor: Vector, clearance: Vector, measure: Callable[[Indices], Vector]) -> Vector:
+    """(P,) the distances of all pairs that may have the least margin, infinite for those that certainly have not [m].
+
+    Parameters
+    ----------
+    floor: (P,) lower bounds of the distances, minus infinity where none is known [m].
+    clearance: (P,) of the pairs [m].
+    measure: the distances of some pairs, by their numbers (K,) [m].
+    """
+    found, is_near = np.full(len(floor), np.inf), floor == -np.inf
+    near = np.flatnonzero(is_near)
+    found[near] = measure(near)
+    further = np.flatnonzero(~is_near & (floor - clearance < np.min(found - clearance)))
+    found[further] = measure(further)
+    return found

@@ -252,7 +252,8 @@ def check_near(
     if 0 < away <= _MOST_STRAYS * len(points):
         those = f"it and {away - 1:,} others" if away > 1 else "it"
         far = f"the other {len(points) - away:,} are near: leave {those} out"
-    _check_size(placed, "a coordinate", path, (what, "coordinate"), far=far)
+    less = f" less map_origin {origin.tolist()}" if origin.any() else ""
+    _check_size(placed, f"a coordinate{less}", path, (what, "coordinate"), far=far)
 
 
 def _check_size(
