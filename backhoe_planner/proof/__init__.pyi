@@ -18,6 +18,7 @@ from .limits import LimitName as LimitName
 from .limits import LimitUse as LimitUse
 from .limits import MachineLimit as MachineLimit
 from .limits import describe_ratio as describe_ratio
+from .limits import describe_use as describe_use
 from .limits import machine_uses as machine_uses
 from .sequence import certify as certify
 from .sequence import certify_problem as certify_problem

@@ -76,26 +76,32 @@ class LimitUse:
 
     def describe(self) -> str:
         """The sentence about a limit that does not hold."""
-        when, much = f"at {self.time:.2f} s", describe_ratio(self.ratio)
-        if self.kind == "position":
-            return f"{self.joint} exceeds its position limit {when} ({self.ratio - 1.0:.3g} {self.unit} outside)"
-        if self.kind in ("velocity", "acceleration"):
-            return f"{self.joint} exceeds its {self.kind} limit {when} ({much} it)"
-        if self.kind == "torque":
-            what = "cannot hold the load" if self.at_rest > 1.0 else "has too little torque for the motion"
-            torques = (1e-3 * abs(self.needed), 1e-3 * self.available)
-            needed, available = beside_bounds(*torques, places=".3g", bounds_as=".3g")
-            figures = f"{needed} kN m of {available} kN m ({much} it)"
-            return f"{self.joint} {what} {when}: it takes {figures}"
-        if self.kind == "rod speed":
-            return f"{self.joint} asks its cylinders for {much} their greatest speed {when}"
-        if self.kind == "tip speed":
-            needed, asked = beside_bounds(self.needed, self.available, places=".3g", bounds_as=".3g")
-            return f"the tip moves at {needed} m/s {when}, {much} the asked {asked} m/s"
-        if self.kind == "duration":
-            needed, allowed = beside_bounds(self.needed, self.available)
-            return f"the motion takes {needed} s, max_duration allows {allowed} s"
-        return f"the motion asks for {much} the {self.kind} {when}"
+        return describe_use(self, f"at {self.time:.2f} s")
+
+
+def describe_use(use: LimitUse, when: str) -> str:
+    """The sentence about a limit that does not hold, with words for when that is: ``at 2.50 s``."""
+    much = describe_ratio(use.ratio)
+    if use.kind == "position":
+        return f"{use.joint} exceeds its position limit {when} ({use.ratio - 1.0:.3g} {use.unit} outside)"
+    if use.kind in ("velocity", "acceleration"):
+        return f"{use.joint} exceeds its {use.kind} limit {when} ({much} it)"
+    if use.kind == "torque":
+        lacks = "force" if use.unit == "N" else "torque"
+        what = "cannot hold the load" if use.at_rest > 1.0 else f"has too little {lacks} for the motion"
+        torques = (1e-3 * abs(use.needed), 1e-3 * use.available)
+        needed, available = beside_bounds(*torques, places=".3g", bounds_as=".3g")
+        figures = f"{needed} k{use.unit} of {available} k{use.unit} ({much} it)"
+        return f"{use.joint} {what} {when}: it takes {figures}"
+    if use.kind == "rod speed":
+        return f"{use.joint} asks its cylinders for {much} their greatest speed {when}"
+    if use.kind == "tip speed":
+        needed, asked = beside_bounds(use.needed, use.available, places=".3g", bounds_as=".3g")
+        return f"the tip moves at {needed} m/s {when}, {much} the asked {asked} m/s"
+    if use.kind == "duration":
+        needed, allowed = beside_bounds(use.needed, use.available)
+        return f"the motion takes {needed} s, max_duration allows {allowed} s"
+    return f"the motion asks for {much} the {use.kind} {when}"
 
 
 def describe_ratio(ratio: float) -> str:

@@ -63,7 +63,7 @@ def test_a_load_that_the_start_cannot_hold_is_refused_without_a_search(
     plan = bp.plan(backhoe, scene(backhoe, ACROSS, task, 4000.0), method=method)
     assert (plan.verdict, plan.reason) == ("failed", "outside_limits")
     assert np.all(plan.trajectory.q == ACROSS)
-    assert "boom cannot hold the load at 0.00 s: it takes " in plan.message
+    assert "boom cannot hold the load at the start: it takes " in plan.message
     percent = re.search(r"\((\d+) % of it\)", plan.message)
     assert percent is not None
     assert float(percent[1]) == pytest.approx(100.0 * use_at_rest(backhoe, ACROSS, 4000.0), abs=0.5)
@@ -127,7 +127,30 @@ def test_of_several_goals_those_count_on_which_the_load_is_held(backhoe: bp.Robo
     plan = bp.plan(backhoe, scene(backhoe, begin, goals, payload), effort="quick")
     assert plan.verified, plan.message
     assert plan.certificate.goal == 2
+    assert "boom cannot hold the load at the goal 1: it takes " in plan.message
+
+
+def test_a_goal_of_the_tip_in_no_posture_of_which_the_load_is_held_is_left_out(backhoe: bp.Robot) -> None:
+    """A position far out leaves no choice, but another goal does."""
+    payload = payload_for(backhoe, ACROSS, 1.3)
+    far = bp.Kinematics(backhoe).at(ACROSS).tip_position.tolist()
+    begin = NEAR + np.array([0.6, 0.2, -0.3, 0.0])
+    assert use_at_rest(backhoe, begin, payload) < 1.0
+    goals = {"goal": [{"position": far}, {"position": [2.0, 0.5, 1.0]}]}
+    plan = bp.plan(backhoe, scene(backhoe, begin, goals, payload), effort="quick")
+    assert plan.verified, plan.message
+    assert plan.certificate.goal == 2
     assert "no posture was found on the goal 1 in which the machine can hold its load" in plan.message
+
+
+def test_a_goal_given_by_joints_that_cannot_hold_the_load_is_refused_without_a_search(backhoe: bp.Robot) -> None:
+    payload = payload_for(backhoe, ACROSS, 1.05)
+    goal = {"goal": {"joints": posture(backhoe, ACROSS)}}
+    plan = bp.plan(backhoe, scene(backhoe, NEAR, goal, payload))
+    assert plan.reason == "outside_limits"
+    assert not plan.has_motion
+    assert plan.message.startswith("boom cannot hold the load at the goal: it takes ")
+    assert plan.findings.joints == ("boom",)
 
 
 def test_a_start_of_the_tip_is_a_posture_that_holds_the_load(backhoe: bp.Robot) -> None:
@@ -137,3 +160,12 @@ def test_a_start_of_the_tip_is_a_posture_that_holds_the_load(backhoe: bp.Robot) 
     plan = bp.plan(backhoe, given, effort="quick")
     assert use_at_rest(backhoe, plan.trajectory.q[0], 1500.0) <= 1.01
     assert plan.verified, plan.message
+
+
+def test_a_slide_has_a_force_and_a_hinge_a_torque() -> None:
+    slide = bp.LimitUse("torque", "slide", 1.5, 0.25, -1500.0, 1000.0, "N", 0.5)
+    assert (
+        slide.describe() == "slide has too little force for the motion at 0.25 s: it takes 1.5 kN of 1 kN (150 % of it)"
+    )
+    hinge = bp.LimitUse("torque", "hinge", 1.5, 0.25, -1500.0, 1000.0, "N m", 1.5)
+    assert hinge.describe() == "hinge cannot hold the load at 0.25 s: it takes 1.5 kN m of 1 kN m (150 % of it)"

@@ -16,8 +16,10 @@ def unheld_load(problem: Problem, q: Vector) -> LimitUse | None:
 
     It is what the certificate says of any motion that begins or ends there. Soil does not act on a tip at rest.
     """
+    if holds_load(problem, q[None]).all():  # a fifth of the time of what follows
+        return None
     _, _, effort, _ = machine_uses(problem, Trajectory.from_steps(np.zeros(1), q[None]))
-    return None if effort is None or effort.kept else replace(effort, time=problem.begins)
+    return None if effort is None or effort.kept else effort
 
 
 def holds_load(problem: Problem, q: Matrix) -> Flags:

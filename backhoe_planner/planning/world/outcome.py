@@ -20,6 +20,7 @@ from backhoe_planner.planning.stretches.stretch import LawWay
 from backhoe_planner.planning.world.clear_joint import find_clear_joint
 from backhoe_planner.planning.world.holding import largest_payload, unheld_load
 from backhoe_planner.planning.world.world import World
+from backhoe_planner.proof import describe_use
 from backhoe_planner.site import Obstruction, range_sources
 
 _NEAR = 0.01  # m: a smaller distance is printed in millimetres
@@ -87,20 +88,7 @@ def by_arc_length(found: Obstruction, path: TipPath) -> Obstruction:
 
 def bad_start(world: World, start: Vector) -> Outcome | None:
     """Why no motion can begin at `start` (n,); None if one can."""
-    return bad_posture(world, start, "start") or _not_held(world.problem, start)
-
-
-def _not_held(problem: Problem, start: Vector) -> Outcome | None:
-    """The outcome if the machine cannot hold its load at rest at `start` (n,); None if it can."""
-    unheld = unheld_load(problem, start)
-    if unheld is None:
-        return None
-    most, payload = largest_payload(problem, start), problem.scene.payload
-    if most is None:
-        could = "the machine cannot hold its own weight there"
-    else:
-        could = f"the largest payload that it can hold there is {beside_bounds(most, payload, places='.4g')[0]} kg"
-    return Outcome(at_rest(start), "outside_limits", f"{unheld.describe()}; {could}", Findings(joints=(unheld.joint,)))
+    return bad_posture(world, start, "start")
 
 
 def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Outcome | None:
@@ -136,7 +124,20 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     keep = world.problem.keep
     if keep is not None and not keep.holds(q):
         return Outcome(stays, "start_breaks_keep" if starts else "goal_breaks_keep", f"at the {what} {keep.broken(q)}")
+    unheld = unheld_load(world.problem, q)
+    if unheld is not None:
+        message = f"{describe_use(unheld, f'at the {what}')}; {_held_there(world.problem, q)}"
+        return Outcome(stays, "outside_limits", message, Findings(joints=(unheld.joint,)))
     return None
+
+
+def _held_there(problem: Problem, q: Vector) -> str:
+    """How much the machine can hold at rest at `q` (n,), where it cannot hold its payload, in words."""
+    most = largest_payload(problem, q)
+    if most is None:
+        return "the machine cannot hold its own weight there"
+    shown = beside_bounds(most, problem.scene.payload, places=".4g")[0]
+    return f"the largest payload that it can hold there is {shown} kg"
 
 
 def _outside(world: World, joint: int, position: float) -> str:
