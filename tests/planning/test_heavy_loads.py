@@ -169,3 +169,13 @@ def test_a_slide_has_a_force_and_a_hinge_a_torque() -> None:
     )
     hinge = bp.LimitUse("torque", "hinge", 1.5, 0.25, -1500.0, 1000.0, "N m", 1.5)
     assert hinge.describe() == "hinge cannot hold the load at 0.25 s: it takes 1.5 kN m of 1 kN m (150 % of it)"
+
+
+@pytest.mark.parametrize("objective", ["time", "work"])
+def test_a_motion_to_a_pose_ends_in_a_posture_that_holds_the_load(backhoe: bp.Robot, objective: str) -> None:
+    """The fastest and the cheapest postures on this goal, which is high and far out, are some that cannot hold it."""
+    begin = np.array([0.28, 0.12, -0.23, -2.04])
+    task = {"goal": {"position": [3.46, -0.99, 3.36]}}
+    plan = bp.plan(backhoe, scene(backhoe, begin, task, 1770.0, objective=objective), effort="quick")
+    assert use_at_rest(backhoe, plan.trajectory.q[-1], 1770.0) <= 1.01
+    assert plan.verified, plan.message

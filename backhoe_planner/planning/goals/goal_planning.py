@@ -20,12 +20,13 @@ from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import FastMotion, Findings
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.effort import Brake
+from backhoe_planner.planning.world.holding import holds_load
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture
 from backhoe_planner.planning.world.world import World
 
 _STANDS_ON = 1e-6  # rad or m by which a machine that stands on a goal may be off it: the residual of inverse kinematics
 _MORE = "the law alone was tried: --method auto searches for other ways as well"
-_MOST_POSTURES = 8  # to which the law drives the joints, one attempt each; chosen
+_MOST_POSTURES = 8  # to which the law drives the joints, one attempt each, or ends are fixed; chosen
 # times fewer steps of the law where a search along a cone of orientations has failed; chosen: such a step takes
 # several ms, and a law that sees only what is near hardly finds what a search did not
 _FEWER_IN_CONES = 8
@@ -65,6 +66,7 @@ class ToGoal:
         if blocked is not None:
             return replace(blocked, trajectory=stepper.trajectory())
         searched = search_motion(world, stepper.q, found, self.goals, time=stepper.time)
+        searched = _ending_where_held(world, stepper, found, searched)
         best, ended = searched.best, searched.ended
         if best is not None:
             branch = stepper.branch(attempt=stepper.attempt + 1)
@@ -190,6 +192,27 @@ class ToGoal:
         if arrived is not None:
             return _sped_up(world, stepper, arrived, len(attempts)).adding(left_out=found.left_out)
         return describe_attempts(attempts, world.work.brake).adding(left_out=found.left_out)
+
+
+def _ending_where_held(world: World, stepper: Stepper, found: GoalPostures, searched: Searched) -> Searched:
+    """The result of a search whose motion ends where the machine holds its load; `searched` if there is none.
+
+    Where a goal leaves a choice, a search ends in whatever posture of it costs least. If the load cannot be held there
+    at rest, the same search follows with ends fixed at the known postures in which it can.
+    """
+    best = searched.best
+    if best is None or searched.ended or holds_load(world.problem, best.motion.q[-1:]).all():
+        return searched
+    held = np.flatnonzero(holds_load(world.problem, np.array(found.clear)))[:_MOST_POSTURES].tolist()
+    goals = [replace(found.goals[k], q=found.clear[k], tolerance=None, rotation_tolerance=None) for k in held]
+    if not goals:
+        return searched
+    fixed = world.ending_at(goals)
+    ends = find_goal_postures(fixed, goals, near=stepper.q, time=stepper.time)
+    if isinstance(ends, Outcome):
+        return searched
+    again = search_motion(fixed, stepper.q, ends, goals, time=stepper.time)
+    return searched if again.best is None else again
 
 
 def _describe_search(world: World, searched: Searched) -> str:

@@ -84,6 +84,13 @@ class World:
         other._put(self._obstacles)
         return other
 
+    def ending_at(self, goals: Sequence[Goal]) -> World:
+        """The same problem with other `goals`, with all its effort and random choices anew; no watcher is called."""
+        other = self.anew(0, self.work.effort)
+        other.problem = replace(self.problem, goals=tuple(goals))
+        other._put(self._obstacles)
+        return other
+
     def within(self, tolerance: float) -> World:
         """The same problem, with `tolerance` [m] as the tolerance of its path."""
         other = copy.copy(self)
