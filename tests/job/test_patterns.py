@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,9 +13,12 @@ from small_jobs import small_job
 
 import backhoe_planner as bp
 from backhoe_planner.job import BladeSweep, Worksite, build_worksite, plan_job, swept
+from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path, cut_problem
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
+from backhoe_planner.job.worksite.arm_clearance import ArmOutline
 from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane, allowed_heights, lanes_of
+from backhoe_planner.machine import Base
 
 
 @pytest.mark.parametrize(("cell", "off"), [pytest.param(0.025, 0.009, marks=pytest.mark.long), (0.05, 0.031)])
@@ -165,6 +169,33 @@ def test_the_arm_clears_level_ground_up_to_the_lowest_corner_of_boom_and_stick()
             level = np.full(2, lowest[k] + off)
             assert site.arm.clears(row[None], (r, level)).tolist() == [clear]
             np.testing.assert_array_equal(site.arm.clears(q, (r, level))[k], clear)
+
+
+def test_the_arm_clears_a_wall_beyond_its_outermost_corner(backhoe: bp.Robot) -> None:
+    """The machine is away from the origin and turned, and the ground is low up to the wall."""
+    robot = backhoe.with_base(Base((3.0, -2.0), 0.7))
+    plane = ArmPlane(robot)
+    arm, data, r = ArmOutline(plane, clearance=0.1), robot.model.createData(), np.arange(0.1, 8.0, 0.025)
+    for q in (robot.random_q(np.random.default_rng(seed)) for seed in range(20)):
+        pin.forwardKinematics(robot.model, data, q)
+        out, _ = plane.directions(float(q[0]))
+        pieces = [one for one in robot.pieces if 2 <= one.joint < robot.n]
+        corners = np.array([data.oMi[one.joint].act(corner) for one in pieces for corner in one.piece.hull])
+        farthest = float(np.max((corners[:, :2] - plane.axis) @ out))
+        for wall, clear in ((farthest + 0.03, True), (farthest - 0.03, False)):
+            assert arm.clears(q[None], (r, np.where(r > wall, 10.0, -10.0))).tolist() == [clear]
+
+
+@pytest.mark.parametrize("stick", [(-2.8, -0.1), (0.1, 2.8)])
+def test_the_elbow_is_on_the_side_that_the_limits_allow(backhoe: bp.Robot, stick: tuple[float, float]) -> None:
+    lower, upper = np.array([-1.5, -3.0, stick[0], -3.0]), np.array([1.5, 3.0, stick[1], 3.0])
+    plane = ArmPlane(backhoe, limits=replace(backhoe.limits, lower=lower, upper=upper))
+    r, z, pitch = np.linspace(2.0, 4.5, 12), np.linspace(-1.5, 1.5, 12), np.linspace(-2.4, -0.4, 12)
+    q = plane.joints(0.3, r, z, pitch)
+    found = ~np.isnan(q[:, 0])
+    assert np.count_nonzero(found) > 8
+    assert np.all((q[found, 2] >= stick[0]) & (q[found, 2] <= stick[1]))
+    np.testing.assert_allclose(np.column_stack(plane.place(q[found])), np.column_stack((r, z, pitch))[found], atol=1e-9)
 
 
 def test_joints_for_many_rows_of_places_equal_those_for_each_row() -> None:

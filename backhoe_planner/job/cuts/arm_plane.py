@@ -12,12 +12,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine import BatchKinematics, JointLimits, Robot, TargetBatch, TipTarget, solve_batch, wrap_angle
+from backhoe_planner.machine import BatchKinematics, JointLimits, Robot, TargetBatch, TipTarget, solve_batch
+
+_Angle = TypeVar("_Angle", float, Array)
 
 _SAME = 1e-6  # m, or a sine: rounding of the numbers in a URDF
 _ROUNDING = 1e-9  # rad beyond a limit that count as rounding
@@ -99,10 +102,8 @@ class ArmPlane:
         """The kinematics of the machine."""
         return self._kinematics
 
-    def heading(self, swing: float) -> float:
-        """Direction of the plane at a swing angle [rad], world, about z from x."""
-        if not self.swings:
-            return self._zero_heading
+    def heading(self, swing: _Angle) -> _Angle:
+        """Direction of the plane at a swing angle, or at each of an array [rad], world, about z from x."""
         return self._zero_heading + self._sense * (swing - float(self._zero[0]))
 
     def directions(self, swing: float) -> tuple[Vector, Vector]:
@@ -133,10 +134,10 @@ class ArmPlane:
             if r.ndim == 1:
                 return self._searched(swing, r, z, pitch)
             return np.stack([self.joints(swing, *row) for row in zip(r, z, pitch, strict=True)])
-        one, other = (self._by_elbow(side, r, z, pitch) for side in (-1.0, 1.0))
-        kept, kept_by_other = (np.count_nonzero(~np.isnan(found[..., 0]), axis=-1) for found in (one, other))
+        one, other = self._by_elbow(r, z, pitch)
+        kept, kept_by_other = (np.count_nonzero(~np.isnan(found[0]), axis=-1) for found in (one, other))
         q = np.empty((*r.shape, self.robot.n))
-        q[..., -3:] = np.where((kept_by_other > kept)[..., None, None], other, one)
+        q[..., -3:] = np.moveaxis(np.where((kept_by_other > kept)[..., None], other, one), 0, -1)
         if self.swings:
             q[..., 0] = swing
             if not self.limits.lower[0] - _ROUNDING <= swing <= self.limits.upper[0] + _ROUNDING:
@@ -163,8 +164,8 @@ class ArmPlane:
             guess[0] = swing
         return guess
 
-    def _by_elbow(self, side: float, r: Array, z: Array, pitch: Array) -> Array:
-        """(..., 3) the hinges, with the elbow on one side; nan where no solution is within the limits."""
+    def _by_elbow(self, r: Array, z: Array, pitch: Array) -> tuple[Array, Array]:
+        """(3, ...), (3, ...) the hinges, with the elbow on one side and on the other; nan where none are allowed."""
         assert self._hinges is not None
         (first, second, third), hinges = self._hinges.lengths, self._hinges
         x = r - third * np.cos(pitch) - hinges.foot[0]
@@ -172,16 +173,30 @@ class ArmPlane:
         far = x * x + y * y
         cosine = (far - first**2 - second**2) / (2.0 * first * second)
         with np.errstate(invalid="ignore"):
-            elbow = side * np.arccos(np.where(np.abs(cosine) <= 1.0 + _ROUNDING, np.clip(cosine, -1.0, 1.0), np.nan))
-        one = np.arctan2(y, x) - np.arctan2(second * np.sin(elbow), first + second * np.cos(elbow))
-        absolute = np.stack((one, one + elbow, pitch + np.where(np.isnan(one), np.nan, 0.0)), axis=-1)
-        turned = np.diff(absolute - hinges.angles, axis=-1, prepend=0.0) * hinges.senses
-        lower, upper = self.limits.lower[-3:], self.limits.upper[-3:]
-        middle = np.where(np.isfinite(lower) & np.isfinite(upper), 0.5 * (lower + upper), 0.0)
-        q = middle + wrap_angle(turned - middle)
-        outside = np.any((q < lower - _ROUNDING) | (q > upper + _ROUNDING), axis=-1)
-        q[outside] = np.nan
-        return np.clip(q, lower, upper)
+            bent = np.arccos(np.where(np.abs(cosine) <= 1.0 + _ROUNDING, np.clip(cosine, -1.0, 1.0), np.nan))
+        ahead, beside = np.arctan2(y, x), np.arctan2(second * np.sin(bent), first + second * np.cos(bent))
+        return self._within(ahead + beside, -bent, pitch), self._within(ahead - beside, bent, pitch)
+
+    def _within(self, one: Array, elbow: Array, pitch: Array) -> Array:
+        """(3, ...) the hinges of links at angles `one`, `one + elbow` and `pitch` (...) to the ground [rad].
+
+        They are nan where one of them is beyond its limits.
+        """
+        hinges = self._hinges
+        assert hinges is not None
+        angles = (one, one + elbow, pitch)
+        found, within, before = np.empty((3, *one.shape)), np.ones(one.shape, dtype=bool), 0.0
+        lower, upper = self.limits.lower[-3:].tolist(), self.limits.upper[-3:].tolist()
+        for joint, (angle, low, high) in enumerate(zip(angles, lower, upper, strict=True)):
+            turned = angle - hinges.angles[joint]
+            middle = 0.5 * (low + high) if np.isfinite(low) and np.isfinite(high) else 0.0
+            q = (turned - before) * hinges.senses[joint]
+            q -= 2.0 * np.pi * np.rint((q - middle) / (2.0 * np.pi))
+            before = turned
+            within &= (q >= low - _ROUNDING) & (q <= high + _ROUNDING)  # false for nan
+            np.clip(q, low, high, out=found[joint])
+        found[:, ~within] = np.nan
+        return found
 
     def _searched(self, swing: float, r: Array, z: Array, pitch: Array) -> Array:
         places = self.world(swing, r, z)

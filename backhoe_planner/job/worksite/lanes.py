@@ -83,8 +83,9 @@ def lanes_of(site: Worksite) -> tuple[Lane, ...]:
     if site.job.dig.trench is not None:
         own = _along_trench(site, middle)
         swings = swings if own is None else own
-    screen = ClearanceScreen(Proximity(site.robot, site.problem.obstacles), spare=_SPARE)
-    found = [_lane(site, float(swing), screen) for swing in swings]
+    proximity = Proximity(site.robot, site.problem.obstacles)
+    screen = ClearanceScreen(proximity, spare=_SPARE)
+    found = [_lane(site, float(swing), screen, proximity) for swing in swings]
     return tuple(lane for lane in found if lane is not None)
 
 
@@ -158,7 +159,7 @@ def _wall(room: float, slack: float, between: tuple[float, float], entry: float)
         reach = min(room / out + entry, reach - _CLOSEST)
 
 
-def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
+def _lane(site: Worksite, swing: float, screen: ClearanceScreen, proximity: Proximity) -> Lane | None:
     plane, design, width = site.plane, site.design, site.bucket.width
     profile = Profile.of_terrain(site.ground, plane, swing, width=width)
     r = np.arange(profile.r[0], profile.r[-1], _STEP)
@@ -175,7 +176,7 @@ def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
     inside &= deepest < ground - _SAME
     if np.count_nonzero(inside) < 2:
         return None
-    places = _Places(site, swing, r, screen)
+    places = _Places(site, swing, r, screen, proximity)
     first = np.where(inside, deepest, np.nan)
     floor, cause, causes = places.reachable(first, ground, None)
     line, reached = _line(profile, r, floor, ground, inside), floor
@@ -224,9 +225,10 @@ def _blade_points(site: Worksite, swing: float, r: Vector) -> Array:
 class _Places:
     """The possible positions of the teeth in one plane."""
 
-    def __init__(self, site: Worksite, swing: float, r: Vector, screen: ClearanceScreen) -> None:
-        self._site, self._swing, self._r, self._screen = site, swing, r, screen
-        self._proximity = Proximity(site.robot, site.problem.obstacles)
+    def __init__(
+        self, site: Worksite, swing: float, r: Vector, screen: ClearanceScreen, proximity: Proximity
+    ) -> None:  # fmt: skip
+        self._site, self._swing, self._r, self._screen, self._proximity = site, swing, r, screen, proximity
         self._raised: tuple[Vector, Vector] | None = None
         self._final: Vector | None = None
 
