@@ -16,13 +16,9 @@ import argparse
 import json
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 
 import backhoe_planner as bp
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 
 DT = 0.001
 MASS, SPRING, DAMPER = 0.5, 120.0, 8.0  # kg, N/m, N s/m of the hand
@@ -65,7 +61,10 @@ def simulate(seconds: float, *, period: float = PERIOD, reach: float = REACH) ->
 
 
 def draw(record: Record, path: Path) -> None:
-    figure, axes = plt.subplots(4, 1, figsize=(8, 9), sharex=True, layout="constrained")
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 9), layout="constrained")
+    axes = figure.subplots(4, 1, sharex=True)
     time = record["time"]
     axes[0].plot(time, record["tip"][:, 0], label="tip")
     axes[0].axhline(WALL, color="0.4", linestyle="--", label="wall")
@@ -83,7 +82,6 @@ def draw(record: Record, path: Path) -> None:
     axes[3].set_ylabel("work on the hand [J]")
     axes[3].set_xlabel("time [s]")
     figure.savefig(path, dpi=120)
-    plt.close(figure)
 
 
 def main() -> None:

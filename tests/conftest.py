@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import shutil
@@ -44,8 +45,8 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_unconfigure() -> None:
-    """Otherwise OMPL lists all objects that Python still holds at the end."""
-    gc.unfreeze()
+    """Otherwise OMPL lists all objects that Python still holds at the end; pytest's own collections skip them."""
+    atexit.register(gc.unfreeze)
 
 
 @pytest.fixture(scope="session")
