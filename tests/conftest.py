@@ -71,9 +71,9 @@ def panda() -> Robot:
 
 @pytest.fixture(scope="session")
 def around_a_ball(planar4: Robot) -> bp.Plan:
-    """A plan along a path of 2 m at 0.4 m/s, around a ball of radius 30 cm in its middle."""
+    """A plan along a path of 1.2 m at 0.4 m/s, around a ball of radius 30 cm in its middle."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.0, 0.0, 0.0]}
-    task = {"path": {"waypoints": [{"position": [2.0, y, 0.0]} for y in (-1.0, 1.0)], "speed": 0.4}}
+    task = {"path": {"waypoints": [{"position": [2.0, y, 0.0]} for y in (-0.6, 0.6)], "speed": 0.4}}
     content = {"version": 1, "task": task, "clearance": 0.02, "influence": 0.4, "obstacles": [ball]}
     return bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
 

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from backhoe_planner.machine import Cluster, MeshSolid
+from backhoe_planner.machine.clusters import mesh_solid
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.machine.shape.convex import is_closed
 
@@ -69,7 +70,11 @@ MESHES = {  # mesh, x of points inside, x of points outside
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_points_inside_a_mesh_are_distinguished_from_those_outside(name: str) -> None:
+def test_points_inside_a_mesh_are_distinguished_from_those_outside(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """On a grid half as fine as usual, which is filled in an eighth of the time."""
+    monkeypatch.setattr(mesh_solid, "_SIDE_CELLS", 48)
     mesh, inside, outside = MESHES[name]
     cluster = Cluster(MeshSolid(mesh, most=10**5), HERE)
     grid = cluster.grid(np.zeros(3), 2.5)

@@ -243,10 +243,10 @@ def test_steps_between_many_nodes_equal_steps_one_by_one(digging: Problem) -> No
 def test_soil_costs_work_only_below_the_ground(backhoe: bp.Robot) -> None:
     soil = {"density": 1700.0, "cohesion": 5000.0, "friction": 0.55}
     for depth, more in ((0.3, True), (-0.3, False)):
-        points = ((4.4, 0.0, -depth), (3.0, 0.0, -depth))
+        points = ((3.7, 0.0, -depth), (3.0, 0.0, -depth))
         dry, wet = (build_problem(backhoe, along(*points, soil=own)) for own in (None, soil))
         plan = bp.plan(backhoe, dry.scene, method="reactive")
-        q, stations = plan.trajectory.q, np.linspace(0.0, 1.4, len(plan.trajectory))
+        q, stations = plan.trajectory.q, np.linspace(0.0, 0.7, len(plan.trajectory))
         without, against = (PathCost(problem, "work").value(stations, q) for problem in (dry, wet))
         costs = [trajectory_costs(problem, plan.trajectory)["work"] for problem in (dry, wet)]
         if more:

@@ -202,7 +202,7 @@ def test_between_samples_the_motion_is_off_the_path_by_no_more_than_the_sagitta(
     halfway = 0.5 * (trajectory.q[:-1] + trajectory.q[1:])
     s = np.linspace(0.0, way.length, 100_000)
     dense = way(s)
-    for q in halfway[:: max(len(halfway) // 40, 1)]:
+    for q in halfway[:: max(len(halfway) // 15, 1)]:
         off = np.abs(dense - q)
         nearest = off[int(np.argmin(np.max(off / chord_sagitta(limits), axis=1)))]
         assert np.all(nearest <= 1.1 * chord_sagitta(limits) + 3e-5)

@@ -40,7 +40,7 @@ SCENES = Path(__file__).resolve().parents[2] / "scenes"
 SOME_OBJECTIVES = [
     name if name in ("work", "time") else pytest.param(name, marks=pytest.mark.long) for name in OBJECTIVES
 ]
-CUT = [[4.4, 0.0, -0.4], [2.6, 0.4, 0.8]]
+CUT = [[3.6, 0.2, 0.1], [2.6, 0.4, 0.8]]
 
 
 def along(points: list[list[float]], **keys: Any) -> bp.Scene:
@@ -76,7 +76,7 @@ def resolved(problem: Problem, objective: PathCost, *, grid: float, layer: float
     "name", ["work", *(pytest.param(n, marks=pytest.mark.long) for n in ("effort", "velocity_norm"))]
 )
 def test_the_refined_cost_converges_with_the_grid(backhoe: bp.Robot, name: str) -> None:
-    problem = build_problem(backhoe, along(CUT, objective=name))
+    problem = build_problem(backhoe, along([[4.4, 0.0, -0.4], CUT[1]], objective=name))
     assert problem.path is not None
     objective, proximity = PathCost(problem), bp.Proximity(backhoe)
     graph, refined = [], []
@@ -150,6 +150,7 @@ def test_each_objective_is_least_in_the_plan_that_minimises_it(backhoe: bp.Robot
     for name in OBJECTIVES:
         least = min(values[other][name] for other in OBJECTIVES)
         assert values[name][name] <= 1.02 * least
+    assert max(values[other]["work"] for other in OBJECTIVES) > 1.1 * values["work"]["work"]  # they differ
 
 
 @pytest.mark.long

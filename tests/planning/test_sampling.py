@@ -436,7 +436,7 @@ def test_proven_motions_are_clear_in_dense_measurements(any_robot: Robot) -> Non
     proximity = Proximity(problem.robot, problem.obstacles)
     check = MotionCheck(problem, proximity, [q_0], spare=0.0)
     proven = refused = 0
-    for _ in range(60):
+    for _ in range(30):
         a = any_robot.random_q(rng)
         b, c = (np.clip(a + 0.3 * rng.normal(size=any_robot.n), any_robot.limits.lower, any_robot.limits.upper)
                 for _ in range(2))  # fmt: skip

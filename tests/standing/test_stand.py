@@ -107,9 +107,9 @@ def test_a_trench_as_wide_as_the_bucket_is_dug_only_from_its_own_line(plain: Sit
 
 def _on_ramp(folder: Path, rise: float, *, known: float = -7.0) -> SiteMap:
     """The map of a trench, 0.3 m deep at x 4.4 m, in ground that rises from x 2 m on and is known from an x on [m]."""
-    x, y = np.arange(known, 6.01, 0.25), np.arange(-4.0, 4.01, 0.25)
+    x, y = np.arange(known, 6.01, 0.1), np.arange(-4.0, 4.01, 0.1)
     np.savetxt(folder / "ramp.csv", np.tile(rise * np.maximum(x - 2.0, 0.0), (len(y), 1)), delimiter=",")
-    ground = {"file": "ramp.csv", "low": [known, -4.0], "cell": 0.25}
+    ground = {"file": "ramp.csv", "low": [known, -4.0], "cell": 0.1}
     content = _job(dump={"heap": {"at": [2.5, -3.0]}}).to_dict() | {"ground": ground}
     return _map(job_from_dict(content, folder=folder))
 
