@@ -26,7 +26,7 @@ from backhoe_planner.live.detours.track_proof import RestProof
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Proximity, build_obstacles
 
-DT = 0.01
+DT = 0.02
 START = {"swing": -0.6, "boom": 0.3, "stick": -0.9, "bucket": -0.5}
 FAR = {"name": "far", "shape": "sphere", "radius": 0.2, "position": [-4.0, 0.0, 3.0]}
 
@@ -82,9 +82,11 @@ def margin(plan: bp.Plan, postures: Any, *obstacles: dict[str, Any]) -> float:
 class Run:
     """A machine that follows a plan, onto which a crate is put once the plan's clock has come to a moment."""
 
-    def __init__(self, plan: bp.Plan, crate: dict[str, Any], *, at: float, proves: bool = True) -> None:
-        self.desk, self.plan = Desk(proves=proves), plan
-        self.servo = Servo(plan.robot, plan.scene, DT, q=plan.trajectory.q[0])
+    def __init__(
+        self, plan: bp.Plan, crate: dict[str, Any], *, at: float, proves: bool = True, dt: float = DT
+    ) -> None:  # fmt: skip
+        self.desk, self.plan, self.dt = Desk(proves=proves), plan, dt
+        self.servo = Servo(plan.robot, plan.scene, dt, q=plan.trajectory.q[0])
         self.follower = PlanFollower(self.servo, plan, executor=self.desk)
         self.steps: list[FollowerState] = []
         self.go(until=lambda step: step.plan_time >= at * plan.trajectory.duration)
@@ -92,7 +94,7 @@ class Run:
         self.put_at = len(self.steps)
 
     def go(self, seconds: float = 30.0, *, until: Callable[[FollowerState], bool] | None = None) -> FollowerState:
-        for _ in range(round(seconds / DT)):
+        for _ in range(round(seconds / self.dt)):
             self.steps.append(self.follower.step())
             if self.steps[-1].done or (until is not None and until(self.steps[-1])):
                 break
@@ -352,11 +354,11 @@ def test_a_follower_that_is_closed_goes_as_near_as_the_plan_leads(swing: bp.Plan
 
 def test_a_search_begins_as_soon_as_the_machine_stands_before_an_obstacle(swing: bp.Plan) -> None:
     """Beside an obstacle it creeps away from it ever slower, for 2 s above 1e-6 rad/s; that is not waited for."""
-    run = Run(swing, on_plan(swing, 0.7), at=0.2, proves=False)
+    run = Run(swing, on_plan(swing, 0.7), at=0.2, proves=False, dt=0.01)
     run.go(until=lambda step: step.reason.endswith("searched for"))
     held = len(run.steps)
     run.go(until=lambda _: bool(run.desk.queries))
-    assert (len(run.steps) - held) * DT < 0.2
+    assert (len(run.steps) - held) * run.dt < 0.2
     (query,) = run.desk.queries
     run.go(4.0)
     assert float(np.abs(run.servo.q - query.q).max()) < 1e-4

@@ -51,7 +51,7 @@ def ball_on(robot: bp.Robot, motion: bp.Trajectory, above: float) -> dict[str, A
 def test_a_follower_waits_rather_than_tipping_the_bucket(backhoe: bp.Robot, keep: Any) -> None:
     """The ball pushes the bucket's side: sliding along it would tip the bucket by up to 10 degrees."""
     motion = straight()
-    servo = bp.Servo(backhoe, level_scene(keep), 0.01)
+    servo = bp.Servo(backhoe, level_scene(keep), 0.02)
     servo.add(ball_on(backhoe, motion, 0.15))
     most, reasons = 0.0, set()
     with bp.PlanFollower(servo, motion, executor=AtOnce()) as follower:

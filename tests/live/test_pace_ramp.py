@@ -13,7 +13,7 @@ from backhoe_planner.live import Reference
 from backhoe_planner.live.pace_ramp import PaceRamp
 from backhoe_planner.live.servo.track import Track
 
-DT = 0.01
+DT = 0.02
 NAMES = ("swing", "boom", "stick", "bucket")
 A, B = (-0.3, 0.3, -0.9, -0.5), (0.0, 0.22, -0.82, -0.54)
 
