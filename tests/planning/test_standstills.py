@@ -53,7 +53,12 @@ def test_a_curve_stays_as_it_is_if_no_other_is_allowed(own_time: OwnTime, swing:
     control = swing.control.copy()
     control[4:8, 1] += 1e-4
     creeping, asked = swing.moved_to(control), list[JointCurve]()
-    assert with_standstills(own_time, creeping, DURATION, lambda curve, _: bool(asked.append(curve))) is creeping
+
+    def refuse(there: JointCurve, _: float) -> bool:
+        asked.append(there)
+        return False
+
+    assert with_standstills(own_time, creeping, DURATION, refuse) is creeping
     assert asked
     assert all(cost(own_time, curve) < cost(own_time, creeping) for curve in asked)
 
