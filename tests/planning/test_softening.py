@@ -94,3 +94,18 @@ def test_the_slopes_of_the_smooth_power_are_its_differences(
     scale = np.abs(differences).max()
     assert scale > 1e4
     np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1e-6 * scale)
+
+
+def test_pressures_that_are_only_rounding_have_no_slope(backhoe: bp.Robot, hydraulics: Hydraulics) -> None:
+    """The eighth power of 1e-45 Pa is 0 in floating point, so that a pressure over their norm was infinite."""
+    at = np.array([[0.1, 0.3, -1.2, -0.6]])
+    v = np.array([[0.0, 1e-16, 0.2, 0.0]])
+    torque = np.array([[0.0, 1e-10, -2e3, 0.0]])  # the stick sinks under its load, the others are at rest
+    counted = [soft_power(hydraulics, at, v, torque * scale, flow=1e-3)[0] for scale in (1.0, 1e-5, 1e-10)]
+    assert counted == pytest.approx(np.array([1.0, 1e-5, 1e-10]) * counted[0])
+    assert 0.0 < counted[0] < 1e-30
+    slopes = np.zeros((1, 4, 12))
+    for scale in (1.0, 1e-5, 1e-10):
+        found, slope = soft_power_slopes(hydraulics, at, v, torque * scale, slopes, flow=1e-3)
+        assert found[0] < 1e-30
+        assert np.max(np.abs(slope)) < 1e-10

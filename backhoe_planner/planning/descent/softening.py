@@ -20,7 +20,7 @@ _FINE_FROM = 3  # index of the first of them for a curve that is the result of a
 _HURRIED = (0.3, 0.1, 0.03, 0.01)  # the same if few rounds are made
 _POWER = 8  # of the norm that approximates the highest pressure; chosen
 _ROUND_OFF = 0.1  # part of the flow below which a cylinder counts in part: amounts of oil are rounded off in it; chosen
-_LEAST_PRESSURE = 1.0  # Pa, well below any that counts
+_LEAST_PRESSURE = 1e-300  # Pa: the least by which pressures are divided
 
 
 def soft_flows(mean_flow: float, *, first: bool, fine: bool, hurried: bool) -> tuple[float, ...]:
@@ -51,7 +51,7 @@ def soft_power(hydraulics: Hydraulics, q: Matrix, v: Matrix, torque: Matrix, *, 
     oil, against = hydraulics.flows(q, v), np.sign(torque * v)[:, hydraulics.joint_of]
     pressure = np.nan_to_num(hydraulics.pressures(q, torque), posinf=0.0)  # at a dead centre
     counted = _counted_part(against * oil / flow) * pressure
-    return np.asarray(_highest(counted) * _all_oil(oil, flow))
+    return np.asarray(_highest(counted)[0] * _all_oil(oil, flow))
 
 
 def soft_power_slopes(
@@ -84,9 +84,8 @@ def soft_power_slopes(
     against = np.sign(own_torque * own_v) / flow
     part = _counted_part(against * oil)
     part_by_oil = against * _counted_part_slope(against * oil)
-    highest, all_oil = _highest(part * pressure), _all_oil(oil, flow)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        by_counted = all_oil[:, None] * np.nan_to_num((part * pressure / highest[:, None]) ** (_POWER - 1))
+    (highest, by_counted), all_oil = _highest(part * pressure), _all_oil(oil, flow)
+    by_counted = all_oil[:, None] * by_counted
     by_oil = by_counted * part_by_oil * pressure + highest[:, None] * oil / _rounded_off(oil, flow)
     by_pressure = by_counted * part
     found = np.einsum("kj,kjm->km", (by_pressure * pressure_by_torque) @ of_joint, torque_slopes)
@@ -106,10 +105,13 @@ def _counted_part_slope(part: Array) -> Array:
     return np.asarray(6.0 * part * (1.0 - part))
 
 
-def _highest(pressure: Array) -> Array:
-    """(K,) the highest of pressures (K, m) [Pa], its kinks rounded off."""
+def _highest(pressure: Array) -> tuple[Array, Array]:
+    """(K,) the highest of pressures (K, m) [Pa], its kinks rounded off, and (K, m) its derivatives by them."""
     largest = np.maximum(np.max(pressure, axis=-1, keepdims=True, initial=0.0), _LEAST_PRESSURE)
-    return np.asarray(largest[..., 0] * np.sum((pressure / largest) ** _POWER, axis=-1) ** (1.0 / _POWER))
+    part = pressure / largest  # their powers do not become 0 where the pressures are only rounding
+    total = np.sum(part**_POWER, axis=-1, keepdims=True)
+    slopes = part ** (_POWER - 1) / np.maximum(total, 1.0) ** (1.0 - 1.0 / _POWER)
+    return np.asarray(largest[..., 0] * total[..., 0] ** (1.0 / _POWER)), slopes
 
 
 def _all_oil(oil: Array, flow: float) -> Array:
