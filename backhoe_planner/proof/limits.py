@@ -88,7 +88,7 @@ def describe_use(use: LimitUse, when: str) -> str:
         return f"{use.joint} exceeds its {use.kind} limit {when} ({much} it)"
     if use.kind == "torque":
         lacks = "force" if use.unit == "N" else "torque"
-        what = "cannot hold the load" if use.at_rest > 1.0 else f"has too little {lacks} for the motion"
+        what = "cannot hold the load" if use.at_rest > use.most else f"has too little {lacks} for the motion"
         torques = (1e-3 * abs(use.needed), 1e-3 * use.available)
         needed, available = beside_bounds(*torques, places=".3g", bounds_as=".3g")
         figures = f"{needed} k{use.unit} of {available} k{use.unit} ({much} it)"

@@ -171,6 +171,12 @@ def test_a_slide_has_a_force_and_a_hinge_a_torque() -> None:
     assert hinge.describe() == "hinge cannot hold the load at 0.25 s: it takes 1.5 kN m of 1 kN m (150 % of it)"
 
 
+def test_a_load_that_is_held_within_the_tolerance_of_torques_is_not_said_not_to_be() -> None:
+    """One per cent above the limit counts as kept, at rest too."""
+    use = bp.LimitUse("torque", "hinge", 1.021, 0.02, 1021.0, 1000.0, "N m", 1.001)
+    assert use.describe().startswith("hinge has too little torque for the motion at 0.02 s: ")
+
+
 @pytest.mark.parametrize("objective", ["time", "work"])
 def test_a_motion_to_a_pose_ends_in_a_posture_that_holds_the_load(backhoe: bp.Robot, objective: str) -> None:
     """The fastest and the cheapest postures on this goal, which is high and far out, are some that cannot hold it."""

@@ -6,10 +6,13 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from machines import Axis, load_chain
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Flags, Matrix
+from backhoe_planner.site import ClearanceScreen
 
 ARM, START, END = 2.0, -0.5, 0.5  # m, rad
 TIP = {"position": [ARM * math.cos(END), ARM * math.sin(END), 0.0]}
@@ -66,6 +69,24 @@ def test_a_continuous_joint_comes_to_a_pose_from_the_other_side(tmp_path: Path) 
     assert found.message.startswith("all ways there are blocked: with joint0 at ")
     assert "from front" in found.message
     assert "from rear" in found.message
+
+
+@pytest.mark.parametrize("turns", [1000.0, -1000.0])
+def test_of_many_turns_of_a_continuous_joint_one_is_looked_at(
+    turns: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After one turn it passes the same places again; those of a thousand turns took seconds."""
+    looked_at: list[Matrix] = []
+    plain = ClearanceScreen.keeps
+
+    def keeps(self: ClearanceScreen, q: Matrix) -> Flags:
+        looked_at.append(q)
+        return plain(self, q)
+
+    monkeypatch.setattr(ClearanceScreen, "keeps", keeps)
+    found = plan(tmp_path, "continuous", {"joints": {"joint0": START + turns * 2.0 * math.pi + 1.0}}, FRONT)
+    assert found.message.startswith("the only way there is blocked: with joint0 at ")
+    assert max(float(np.ptp(q)) for q in looked_at) == pytest.approx(2.0 * math.pi)
 
 
 def test_a_way_beside_the_obstacle_and_one_that_opens_are_still_found(tmp_path: Path) -> None:

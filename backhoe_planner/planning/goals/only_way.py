@@ -49,12 +49,17 @@ def blocked_way(world: World, start: Vector, found: GoalPostures, *, time: float
 
 
 def _ends(world: World, start: Vector, found: GoalPostures) -> Iterator[float]:
-    """Where motions to the postures end [rad or m]; for one of a continuous joint, on the next turn to either side."""
+    """Where motions to the postures end [rad or m]; for one of a continuous joint, on the next turn to either side.
+
+    A continuous joint that turns further than once passes the same places again, so it is taken to end after a turn.
+    """
     begin, turns = float(start[0]), bool(np.isinf(world.problem.limits.upper[0]))
     for q, goal in zip(found.clear, found.goals, strict=True):
         if turns and goal.q is None:
             further = (float(q[0]) - begin) % _TURN
             yield from (begin + further, begin + further - _TURN)
+        elif turns:
+            yield begin + min(max(float(q[0]) - begin, -_TURN), _TURN)
         else:
             yield float(q[0])
 
