@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from one_joint_search import ended_search
@@ -14,6 +17,7 @@ from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.refining import refining
 from backhoe_planner.planning.refining.refining import Refining
 from backhoe_planner.planning.refining.standstills import with_standstills
+from backhoe_planner.planning.search.effort import Brake, OutOfTime
 from validation.sites import SiteKey, random_site
 
 START = np.array([-0.5, 0.3, -1.4, -0.8])
@@ -33,6 +37,16 @@ def cost(own_time: OwnTime, curve: JointCurve) -> float:
     return own_time.cost(curve, DURATION, width=LEAST_WIDTH)
 
 
+def refusing(asked: list[JointCurve]) -> Callable[[JointCurve, float], bool]:
+    """Allows no curve, and appends those that it is asked about to `asked`."""
+
+    def is_allowed(curve: JointCurve, _: float) -> bool:
+        asked.append(curve)
+        return False
+
+    return is_allowed
+
+
 @pytest.fixture(scope="module")
 def swing() -> JointCurve:
     """Only the swing turns."""
@@ -45,7 +59,7 @@ def test_a_boom_that_creeps_up_while_the_machine_swings_stands_still(own_time: O
     control[4:8, 1] += 1e-4
     creeping = swing.moved_to(control)
     assert cost(own_time, creeping) > 2.0 * cost(own_time, swing)
-    found = with_standstills(own_time, creeping, DURATION, lambda *_: True)
+    found = with_standstills(own_time, creeping, DURATION, lambda *_: True, brake=Brake())
     np.testing.assert_array_equal(found.control, swing.control)
 
 
@@ -53,12 +67,8 @@ def test_a_curve_stays_as_it_is_if_no_other_is_allowed(own_time: OwnTime, swing:
     control = swing.control.copy()
     control[4:8, 1] += 1e-4
     creeping, asked = swing.moved_to(control), list[JointCurve]()
-
-    def refuse(there: JointCurve, _: float) -> bool:
-        asked.append(there)
-        return False
-
-    assert with_standstills(own_time, creeping, DURATION, refuse) is creeping
+    found = with_standstills(own_time, creeping, DURATION, refusing(asked), brake=Brake())
+    assert found is creeping
     assert asked
     assert all(cost(own_time, curve) < cost(own_time, creeping) for curve in asked)
 
@@ -69,12 +79,38 @@ def test_standstills_leave_the_ends_and_cost_less(own_time: OwnTime, swing: Join
     control = swing.control.copy()
     control[1:-1] += 0.02 * np.random.default_rng(seed).normal(size=control[1:-1].shape)
     curve = swing.moved_to(control)
-    found = with_standstills(own_time, curve, DURATION, lambda *_: True)
+    found = with_standstills(own_time, curve, DURATION, lambda *_: True, brake=Brake())
     np.testing.assert_array_equal(found.control[[0, -1]], control[[0, -1]])
     assert cost(own_time, found) < 0.9 * cost(own_time, curve)
     stays = np.diff(found.control, axis=0) == 0.0
     assert stays.any()
     assert not (np.diff(control, axis=0) == 0.0).any()
+
+
+def test_a_budget_ends_the_comparison_of_standstills_too(own_time: OwnTime, swing: JointCurve) -> None:
+    """Also of those of a curve to which no standstill is put in."""
+    with pytest.raises(OutOfTime):
+        with_standstills(own_time, swing, DURATION, lambda *_: False, brake=Brake(0.0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_standstills_are_compared_by_the_costs_of_the_curves_with_them(
+    own_time: OwnTime, swing: JointCurve, seed: int
+) -> None:
+    """The first that is tried is the one whose whole curve costs least at as few places."""
+    control = swing.control.copy()
+    control[1:-1] += 0.02 * np.random.default_rng(10 + seed).normal(size=control[1:-1].shape)
+    curve, tried = swing.moved_to(control), list[JointCurve]()
+    with_standstills(own_time, curve, DURATION, refusing(tried), brake=Brake())
+    others = []
+    for joint, first, last in itertools.product(range(4), range(13), range(13)):
+        for at in (first, last) if first < last else ():
+            still = control.copy()
+            still[first : last + 1, joint] = control[at, joint]
+            if (still[[0, -1]] == control[[0, -1]]).all():
+                others.append(swing.moved_to(still))
+    costs = own_time.costs(others, np.full(len(others), DURATION), width=LEAST_WIDTH, places=2)
+    np.testing.assert_array_equal(tried[0].control, others[int(np.argmin(costs))].control)
 
 
 def test_a_plan_for_hydraulic_energy_lets_joints_stand_still(

@@ -83,9 +83,14 @@ class OwnTime:
         places: of the sum, for each piece; by default the usual ones.
         """
         moments = _moments_of_all(curves, durations, self.places if places is None else places)
-        parts, kinked = self.parts(*(each.reshape(-1, each.shape[2]) for each in moments))
-        rate = np.sum(rounded(parts, width) if kinked else parts, axis=1).reshape(len(curves), -1)
+        q, v, a = (each.reshape(-1, each.shape[2]) for each in moments)
+        rate = self.rates(q, v, a, width=width).reshape(len(curves), -1)
         return np.asarray(rate @ curves[0].shares(rate.shape[1]) * durations)
+
+    def rates(self, q: Matrix, v: Matrix, a: Matrix, *, width: float) -> Vector:
+        """(K,) the cost per second of moments at q, v, a (K, n); kinks are rounded off by `width` [unit per second]."""
+        parts, kinked = self.parts(q, v, a)
+        return np.asarray(np.sum(rounded(parts, width) if kinked else parts, axis=1))
 
     def gross(self, curve: JointCurve, duration: float) -> float:
         """The cost of the motion if terms that count only if positive counted by their absolute values."""

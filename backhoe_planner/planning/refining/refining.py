@@ -181,7 +181,7 @@ class Refining:
         for found in (best, *others):
             if found.curve is None:
                 continue
-            still = with_standstills(own_time, found.curve, found.motion.duration, is_allowed)
+            still = with_standstills(own_time, found.curve, found.motion.duration, is_allowed, brake=self._work.brake)
             if still is not found.curve:
                 motion = motion_along(still, found.motion.duration)
                 incumbent.offer(replace(found, motion=motion, cost=motion_cost(self._problem, motion), curve=still))
