@@ -12,6 +12,9 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Dynamics
 from backhoe_planner.motion import build_problem, drive_of, limit_usage
+from backhoe_planner.planning.search.effort import EFFORTS, Brake, Work
+from backhoe_planner.planning.sequence.ends import WayPrices
+from backhoe_planner.planning.world.world import World
 
 ACROSS = np.array([0.0, 0.2, -0.6, -0.4])  # far out, so that the load has a long lever
 NEAR = np.array([0.0, 0.6, -2.0, -0.9])
@@ -185,3 +188,26 @@ def test_a_motion_to_a_pose_ends_in_a_posture_that_holds_the_load(backhoe: bp.Ro
     plan = bp.plan(backhoe, scene(backhoe, begin, task, 1770.0, objective=objective), effort="quick")
     assert use_at_rest(backhoe, plan.trajectory.q[-1], 1770.0) <= 1.01
     assert plan.verified, plan.message
+
+
+def test_a_leg_that_takes_up_a_load_does_not_begin_where_that_cannot_be_held(backhoe: bp.Robot) -> None:
+    """No motion is planned from such an end of the leg before."""
+    goal = {"goal": {"joints": posture(backhoe, NEAR)}}
+    problem = build_problem(backhoe, scene(backhoe, NEAR, goal, payload_for(backhoe, ACROSS, 1.05)))
+    prices = WayPrices(World(problem, seed=0, work=Work(EFFORTS["quick"], Brake())))
+    begins = (ACROSS, NEAR + np.array([0.5, 0.0, 0.0, 0.0]))
+    assert [use_at_rest(backhoe, q, problem.scene.payload) < 1.01 for q in begins] == [False, True]
+    np.testing.assert_array_equal(np.isfinite(prices.between(begins, (NEAR,)))[:, 0], [False, True])
+
+
+def test_a_load_is_taken_up_in_a_posture_in_which_it_can_be_held(backhoe: bp.Robot) -> None:
+    """The posture that the empty machine reaches first is one that holds 1,400 kg."""
+    begin = np.array([0.28, 0.12, -0.23, -2.04])
+    legs = [
+        {"name": "out", "goal": {"position": [3.46, -0.99, 3.36]}},
+        {"name": "back", "goal": {"joints": posture(backhoe, NEAR)}, "payload": 1500.0},
+    ]
+    plan = bp.plan(backhoe, scene(backhoe, begin, {"sequence": legs}, 0.0), effort="quick")
+    assert plan.verified, plan.message
+    first = plan.legs[0].trajectory.q[-1]
+    assert use_at_rest(backhoe, first, 1500.0) <= 1.01

@@ -13,6 +13,7 @@ from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import Goal, cost_rate
 from backhoe_planner.planning.goals.goal_postures import find_goal_postures
 from backhoe_planner.planning.sequence.leg import Leg
+from backhoe_planner.planning.world.holding import holds_load
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import LeastTimes
@@ -93,7 +94,8 @@ class WayPrices:
         """
         a, b = np.array(begins), np.array(ends)
         keep = self._problem.keep
-        begin = self._screen.keeps(a) & np.array([keep is None or keep.holds(q) for q in a])
+        begin = self._screen.keeps(a) & holds_load(self._problem, a)
+        begin &= np.array([keep is None or keep.holds(q) for q in a])
         part = np.linspace(0.0, 1.0, _PLACES)[:, None, None, None]
         lines = a[:, None] + part * (b[None, :] - a[:, None])  # (P, A, B, n)
         keeps = self._screen.keeps(lines.reshape(-1, a.shape[1])).reshape(_PLACES, len(a), len(b))
