@@ -219,9 +219,7 @@ class OwnTime:
                 use = self.drive.use(*flat)
                 effort = np.max(use.effort.reshape(q.shape), axis=(1, 2))
                 if held is None and (effort > (1.0 + _WITHIN) ** 2).any():
-                    still = np.zeros_like(flat[0])
-                    weight = self.drive.effort_use(flat[0], self.drive.rigid_torques(flat[0], still, still))
-                    held = weight.reshape(q.shape) < 1.0
+                    held = self.drive.static_use(flat[0]).reshape(q.shape) < 1.0
                 if held is not None:
                     effort = np.max(use.effort.reshape(q.shape), axis=(1, 2), where=held, initial=0.0)
                 power, flow = (np.max(each.reshape(q.shape[:2]), axis=1) for each in (use.power, use.flow))

@@ -72,11 +72,9 @@ def soft_power_slopes(
     oil, oil_by_q, oil_by_v = side * speed, side * arm_slopes * own_v, side * arms
     # the pressure in it, |F| / A with F = r tau / (r . r)
     squared, squared_by_q = (each @ of_joint @ of_joint.T for each in (arms * arms, 2.0 * arms * arm_slopes))
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # at a dead centre
         share, share_by_q = arms / squared, (arm_slopes - arms * squared_by_q / squared) / squared
-    share, share_by_q = (
-        np.nan_to_num(each, posinf=0.0, neginf=0.0) for each in (share, share_by_q)
-    )  # at a dead centre
+    share, share_by_q = (np.nan_to_num(each, posinf=0.0, neginf=0.0) for each in (share, share_by_q))
     force = share * own_torque
     side = np.sign(force) / np.where(force > 0.0, cap, annulus)
     pressure, pressure_by_q, pressure_by_torque = side * force, side * share_by_q * own_torque, side * share

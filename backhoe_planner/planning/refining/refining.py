@@ -120,8 +120,7 @@ class Refining:
         """
         best = self._best()
         self._coarse = best.cost
-        others = self._others(best, _NEARLY_AS_CHEAP * best.cost)[:_OTHERS_REFINED]
-        others = [] if best.cost <= self._little else others
+        others = [] if best.cost <= self._little else self._others(_NEARLY_AS_CHEAP, _OTHERS_REFINED)
         finer = [pieces for pieces in _FINER_PIECES if pieces * self._problem.robot.n <= _MOST_FINE]
         for turn, pieces in enumerate(finer or _FINER_PIECES[:1]):
             before = self._best()
@@ -168,7 +167,7 @@ class Refining:
         if not self._problem.objective.jumps:
             return
         best, own_time, incumbent = self._best(), self._descents.own_time, self._descents.incumbent
-        others = self._others(best, _STILL_WORTH * best.cost)[: self._work.effort.ways_at_once]
+        others = self._others(_STILL_WORTH, self._work.effort.ways_at_once)
 
         def motion_along(curve: JointCurve, duration: float) -> Trajectory:
             return time_evenly(curve, duration, self._problem.limits, drive=own_time.drive)
@@ -205,10 +204,11 @@ class Refining:
         assert self._descents.best is not None
         return self._descents.best
 
-    def _others(self, best: FoundMotion, most: float) -> list[FoundMotion]:
-        """The other motions at which descents ended that cost at most so much, the cheapest first."""
-        others = [one for one in self._descents.ended if one is not best and one.curve is not None and one.cost <= most]
-        return sorted(others, key=lambda one: one.cost)
+    def _others(self, times: float, count: int) -> list[FoundMotion]:
+        """At most so many other ends of descents, the cheapest first, up to so many times the cost of the best."""
+        best, ended = self._best(), self._descents.ended
+        others = [one for one in ended if one is not best and one.curve is not None and one.cost <= times * best.cost]
+        return sorted(others, key=lambda one: one.cost)[:count]
 
     def _refine(self, found: FoundMotion, pieces: int) -> bool:
         """Descend from a found motion on a curve of more pieces; false if too few rounds are left for that."""
