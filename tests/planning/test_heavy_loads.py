@@ -120,16 +120,21 @@ def test_the_certificate_of_an_arm_at_rest_gives_the_torque_that_holds_it(backho
     assert found.problems[-1].startswith("boom cannot hold the load at 0.00 s: it takes ")
 
 
-def test_of_several_goals_those_count_on_which_the_load_is_held(backhoe: bp.Robot) -> None:
-    """The posture far out is the nearer one, but the load is too heavy there."""
-    begin = NEAR + np.array([0.6, 0.0, 0.0, 0.0])
-    payload = payload_for(backhoe, ACROSS, 1.05)
-    assert use_at_rest(backhoe, begin, payload) < 1.0
-    assert use_at_rest(backhoe, NEAR, payload) < 1.0
-    goals = {"goal": [{"joints": posture(backhoe, ACROSS)}, {"joints": posture(backhoe, NEAR)}]}
-    plan = bp.plan(backhoe, scene(backhoe, begin, goals, payload), effort="quick")
+def plan_to_the_second(robot: bp.Robot, begin: Vector, goals: list[Any], payload: float) -> bp.Plan:
+    """A verified plan to the second of two goals, from where the load is held."""
+    assert use_at_rest(robot, begin, payload) < 1.0
+    plan = bp.plan(robot, scene(robot, begin, {"goal": goals}, payload), effort="quick")
     assert plan.verified, plan.message
     assert plan.certificate.goal == 2
+    return plan
+
+
+def test_of_several_goals_those_count_on_which_the_load_is_held(backhoe: bp.Robot) -> None:
+    """The posture far out is the nearer one, but the load is too heavy there."""
+    payload = payload_for(backhoe, ACROSS, 1.05)
+    assert use_at_rest(backhoe, NEAR, payload) < 1.0
+    goals = [{"joints": posture(backhoe, ACROSS)}, {"joints": posture(backhoe, NEAR)}]
+    plan = plan_to_the_second(backhoe, NEAR + np.array([0.6, 0.0, 0.0, 0.0]), goals, payload)
     assert "boom cannot hold the load at the goal 1: it takes " in plan.message
 
 
@@ -137,12 +142,8 @@ def test_a_goal_of_the_tip_in_no_posture_of_which_the_load_is_held_is_left_out(b
     """A position far out leaves no choice, but another goal does."""
     payload = payload_for(backhoe, ACROSS, 1.3)
     far = bp.Kinematics(backhoe).at(ACROSS).tip_position.tolist()
-    begin = NEAR + np.array([0.6, 0.2, -0.3, 0.0])
-    assert use_at_rest(backhoe, begin, payload) < 1.0
-    goals = {"goal": [{"position": far}, {"position": [2.0, 0.5, 1.0]}]}
-    plan = bp.plan(backhoe, scene(backhoe, begin, goals, payload), effort="quick")
-    assert plan.verified, plan.message
-    assert plan.certificate.goal == 2
+    goals = [{"position": far}, {"position": [2.0, 0.5, 1.0]}]
+    plan = plan_to_the_second(backhoe, NEAR + np.array([0.6, 0.2, -0.3, 0.0]), goals, payload)
     assert "no posture was found on the goal 1 in which the machine can hold its load" in plan.message
 
 
