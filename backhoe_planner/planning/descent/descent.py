@@ -33,6 +33,9 @@ MISSED_WORTH = 6.0  # the same in the comparison of two curves; chosen among 3 t
 LARGEST_BOX, SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint: most move of a control point in a step; chosen
 GROW, SHRINK = 1.5, 0.4  # factors on the box after a step that is taken, and after one that is not; chosen
 KEPT = 1e-4  # m by which the last round may miss the spare beyond the clearance
+# part of the cost: a descent for another cost than the time ends after two rounds in a row that gain less, as the cost
+# keeps falling for long. The second if a finer curve follows: with 0.004 to 0.02 motions cost as much; chosen
+ENOUGH, ENOUGH_ROUGH = 1e-3, 0.01
 STUCK = 2  # failed steps in a row, after which a curve that is not clear is replaced by the last clear one; chosen
 _TO_GOAL_STEPS = 8  # of Newton's method; it doubles its digits with each
 _ON_GOAL = 1e-8  # m and rad
@@ -87,7 +90,7 @@ class Options:
 
     unsampled: whether the motion may break limits between the places where a step keeps them, and its cost may be
         inexact; to correct both takes as long as two rounds.
-    rough: whether the descent ends at larger gains, because a finer curve continues from its end or the cost is little.
+    enough: part of the cost: the descent ends after two rounds in a row that gain less.
     clear_first: whether misses cost much more than usual, so that the curve gets out of an obstacle that
         is cheap to go through.
     fine: whether the cost is evaluated at more places; for the last descents.
@@ -100,7 +103,7 @@ class Options:
     is_hopeless: Callable[[Timed, int], bool] = lambda here, rounds: False
     longest: float = np.inf
     unsampled: bool = False
-    rough: bool = False
+    enough: float = ENOUGH
     clear_first: bool = False
     fine: bool = False
 

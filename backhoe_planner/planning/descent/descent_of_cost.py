@@ -19,6 +19,7 @@ from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, motion_cost, ti
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import (
+    ENOUGH_ROUGH,
     GROW,
     KEPT,
     LARGEST_BOX,
@@ -64,9 +65,7 @@ _TIME_SPARE = 1e-3
 _HURRIES = 3  # tries to shorten a motion that nevertheless takes too long; chosen
 _LATER = 4.0  # factor on the extra cost of being late in each of them: some motions save more than that; chosen
 _HURRY_ROUNDS = 6  # of each of them at most; chosen
-_SLOW = 2  # a descent ends after so many rounds in a row that gain too little; chosen
-_ENOUGH_BENT = 1e-3  # part of the cost: a smaller gain is too little; the cost keeps falling for long; chosen
-_ENOUGH_ROUGH = 0.01  # the same if a finer curve follows; chosen: with 0.004 to 0.02 motions cost as much
+_SLOW = 2  # a descent ends after so many rounds in a row that gain too little, see `Options.enough`; chosen
 # of a program at most; measured: of 2,700, those not solved after 200 were not after 600. An iteration takes up to 7 ms
 # where 280 kinks are crossed: a plan of the backhoe spent 28 of its 31 s on programs of 200 to 300 iterations
 _ITERATIONS_BENT = 200
@@ -296,8 +295,8 @@ class DescentOfCost(Descent):
             if found is not None and rounds <= 0:
                 break
             rounds = -(-rounds // left) if self._hurried else rounds
-            rough = options.rough or left > 1
-            one = replace(options, most_rounds=rounds, box=box, rough=rough)
+            enough = max(options.enough, ENOUGH_ROUGH) if left > 1 else options.enough
+            one = replace(options, most_rounds=rounds, box=box, enough=enough)
             found, run = self._down(curve, duration, flow, run, one)
             if options.is_hopeless(found, options.most_rounds):
                 break
@@ -345,8 +344,7 @@ class DescentOfCost(Descent):
         bend = Bend.smooth(*slope, here.curve.pieces, self._unit, options.box, here.duration)
         bend = bend if run.curvature is None else replace(bend, curvature=run.curvature / unit)
         state = _State(here, options.box, pricing, bend)
-        enough = _ENOUGH_ROUGH if options.rough else _ENOUGH_BENT
-        return _Course(looks, goal, unit, enough, state, state, run.times_missed, price)
+        return _Course(looks, goal, unit, options.enough, state, state, run.times_missed, price)
 
     def _learn(self, course: _Course) -> None:
         """Let the model learn from the last step, and make kinks narrower if the cost has become small."""

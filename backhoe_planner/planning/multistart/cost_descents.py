@@ -14,7 +14,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Options, Timed
+from backhoe_planner.planning.descent.descent import ENOUGH, ENOUGH_ROUGH, Options, Timed
 from backhoe_planner.planning.descent.descent_of_cost import DescentOfCost
 from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.descent.own_time import OwnTime
@@ -197,7 +197,7 @@ class CostDescents(MotionDescents):
         """The start after a whole descent on a coarse curve, which goes on on its own pieces."""
         options = Options(
             self._most_rounds, SPARE, density=1, box=FIRST_BOX, is_hopeless=partial(self._is_hopeless, looks=()),
-            longest=self._longest(start.duration), unsampled=True, rough=True,
+            longest=self._longest(start.duration), unsampled=True, enough=ENOUGH_ROUGH,
         )  # fmt: skip
         found = self._run_coarsely(start, start.duration, options)
         return start if found is None else replace(start, curve=found.curve)
@@ -216,7 +216,7 @@ class CostDescents(MotionDescents):
         duration = max(start.duration, self.incumbent.longest)
         options = Options(
             for_one * rounds, SPARE, density, FIRST_BOX, is_over, longest=self._longest(duration), unsampled=True,
-            clear_first=clear_first, rough=coarse and self._is_frugal,
+            clear_first=clear_first, enough=ENOUGH_ROUGH if coarse and self._is_frugal else ENOUGH,
         )  # fmt: skip
         if coarse:
             return self._run_coarsely(start, duration, options)

@@ -12,7 +12,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Options, Timed
+from backhoe_planner.planning.descent.descent import ENOUGH, ENOUGH_ROUGH, Options, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.multistart.alike import KnownCurves
 from backhoe_planner.planning.multistart.counted_rounds import CountedRounds
@@ -116,14 +116,15 @@ class MotionDescents(ABC):
         """
         curve, duration, goal = start.curve, start.duration, start.goal
         rounds, box, spare, density = self._most_rounds, FIRST_BOX, SPARE, 2
-        looks = () if hops else self._looks
+        looks, enough = () if hops else self._looks, ENOUGH_ROUGH if self._effort.rough else ENOUGH
         least = self._least_worth(curve, goal)
 
         def is_over(here: Timed, rounds: int) -> bool:
             return self._is_hopeless(here, rounds, looks) or (here.missed <= KEPT_PART * spare and here.cost <= least)
 
         for _ in range(_PROOFS):
-            options = Options(rounds, spare, density, box, is_over, self._longest(duration), rough=self._effort.rough)
+            longest = self._longest(duration)
+            options = Options(rounds, spare, density, box, is_over, longest, enough=enough)
             found = self.rounds.run(curve, duration, goal, options)
             if self._uses_reserve:
                 self.rounds.reserve(0)
@@ -144,16 +145,16 @@ class MotionDescents(ABC):
         return False
 
     def descend_finely(
-        self, found: FoundMotion, curve: JointCurve, duration: float, rounds: int, *, rough: bool = False
+        self, found: FoundMotion, curve: JointCurve, duration: float, rounds: int, *, enough: float = ENOUGH
     ) -> None:  # fmt: skip
         """Run a descent from a motion on a finer curve over a duration [s], and keep the result if it is better.
 
         Parameters
         ----------
-        rough: see `Options`.
+        enough: see `Options`.
         """
         longest = self._longest(duration)
-        options = Options(rounds, SPARE, density=2, box=SMALL_BOX, longest=longest, fine=True, rough=rough)
+        options = Options(rounds, SPARE, density=2, box=SMALL_BOX, longest=longest, fine=True, enough=enough)
         fine = self.rounds.run(curve, duration, found.goal, options)
         if fine is not None and fine.missed <= SPARE:  # the proof decides: a descent may end with less spare
             self.incumbent.offer(replace(found, motion=fine.motion, cost=fine.cost, curve=self._even_curve(fine)))
