@@ -25,9 +25,11 @@ from .ground.sweep import Sweep as Sweep
 from .ground.sweep import swept as swept
 from .ground.terrain import Terrain as Terrain
 from .ground.truck_bed import Bed as Bed
+from .job_estimate import JobEstimate as JobEstimate
 from .job_estimate import estimate_job as estimate_job
 from .planner import DEFAULT_EFFORT as DEFAULT_EFFORT
 from .planner import JobStep as JobStep
+from .planner import plan_estimated as plan_estimated
 from .planner import plan_job as plan_job
 from .replay import load_job_plan as load_job_plan
 from .result.cycles import Cycle as Cycle

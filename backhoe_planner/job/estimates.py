@@ -18,8 +18,7 @@ from backhoe_planner.job.checked_job import CheckedJob
 from backhoe_planner.job.cuts.cut import Cut
 from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path
 from backhoe_planner.job.cycles.dumping import NoDump
-from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
-from backhoe_planner.job.ground.sweep import BladeSweep, swept
+from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut, sweep_of
 from backhoe_planner.job.result.job_plan import PatternEstimate
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.machine import Dynamics
@@ -47,7 +46,7 @@ def estimate_pattern(work: CheckedJob, pattern: Pattern) -> PatternEstimate:
             finished = found is None
             break
         cut = found.cut
-        sweep = swept(state.ground, BladeSweep(cut.position, cut.across, cut.bucket.width), slump=False)
+        sweep = found.sweep or sweep_of(cut, state.ground)
         if float(sweep.volume[-1]) < _LEAST:
             break
         path = cut_path(site, cut, state.ground)
@@ -101,10 +100,24 @@ def _air_run(
     return site.digger.estimated_run(q, machine.gravity_torques(q), inertia=machine, part=1.0, pace=pace)
 
 
-def compared_patterns(work: CheckedJob, patterns: Sequence[Pattern]) -> tuple[PatternEstimate, ...]:
-    """The estimates of all `patterns` for a job, the one that is chosen first, the others by their costs."""
-    estimates = in_full([estimate_pattern(work, one) for one in patterns])
-    best = choose(estimates, work.site.job.objective)
+def compared_patterns(
+    work: CheckedJob, patterns: Sequence[Pattern], known: Sequence[PatternEstimate] = ()
+) -> tuple[PatternEstimate, ...]:
+    """The estimates of all `patterns` for a job, the one that is chosen first, the others by their costs.
+
+    Parameters
+    ----------
+    known: those estimates that `estimate_pattern` has already made for this job.
+    """
+    made = {one.name: one for one in known}
+    estimates = [made.get(one.name) or estimate_pattern(work, one) for one in patterns]
+    return chosen_first(estimates, work.site.job.objective)
+
+
+def chosen_first(made: Sequence[PatternEstimate], objective: Literal["time", "work"]) -> tuple[PatternEstimate, ...]:
+    """The estimates of `estimate_pattern`, the one that is chosen first, the others by their costs."""
+    estimates = in_full(made)
+    best = choose(estimates, objective)
     order = sorted(range(len(estimates)), key=lambda index: (index != best, estimates[index].cost))
     return tuple(replace(estimates[index], chosen=index == best) for index in order)
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from backhoe_planner.job.checked_job import check_whole_job
+from backhoe_planner.job.checked_job import CheckedJob, check_whole_job
 from backhoe_planner.job.cycles.patterns import Pattern, patterns_to_compare
-from backhoe_planner.job.estimates import compared_patterns
+from backhoe_planner.job.estimates import chosen_first, estimate_pattern
 from backhoe_planner.job.result.job_plan import PatternEstimate
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.worksite.worksite import build_worksite
@@ -15,8 +16,27 @@ from backhoe_planner.job.worksite.worksite import build_worksite
 _FEW = (Pattern("layers", 0.2), Pattern("layers", 0.3), Pattern("face", 0.4))
 
 
-def estimate_job(job: Job) -> PatternEstimate:
-    """Estimate a job: its cycles, volume, time and work with the best of three patterns, or with the one it prescribes.
+@dataclass(frozen=True, eq=False)
+class JobEstimate:
+    """A job with the estimates of some of its patterns.
+
+    Attributes
+    ----------
+    work: the job, checked.
+    estimates: of patterns, each by itself.
+    """
+
+    work: CheckedJob
+    estimates: tuple[PatternEstimate, ...]
+
+    @property
+    def best(self) -> PatternEstimate:
+        """The estimate of the pattern that would be chosen among these."""
+        return chosen_first(self.estimates, self.work.site.job.objective)[0]
+
+
+def estimate_job(job: Job) -> JobEstimate:
+    """Estimate a job: its cycles, volume, time and work with three patterns, or with the one it prescribes.
 
     Raises
     ------
@@ -24,4 +44,5 @@ def estimate_job(job: Job) -> PatternEstimate:
     """
     work = check_whole_job(build_worksite(job))
     patterns: Sequence[Pattern] = patterns_to_compare(work.site)
-    return compared_patterns(work, _FEW if len(patterns) > 1 else patterns)[0]
+    few = _FEW if len(patterns) > 1 else patterns
+    return JobEstimate(work, tuple(estimate_pattern(work, pattern) for pattern in few))

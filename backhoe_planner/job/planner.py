@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from backhoe_planner.arrays import as_count
 from backhoe_planner.errors import InputError, SceneError, check_callable, check_kind
-from backhoe_planner.job.checked_job import check_whole_job
+from backhoe_planner.job.checked_job import CheckedJob, check_whole_job
 from backhoe_planner.job.cuts.cut import NoCut
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
 from backhoe_planner.job.cycles.patterns import WALLS, NextCut, next_cut, patterns_to_compare
 from backhoe_planner.job.estimates import compared_patterns
 from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.job_estimate import JobEstimate
 from backhoe_planner.job.result.cycles import Cycle
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, interruption, same_ground, same_job
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.undug import find_undug
-from backhoe_planner.job.worksite.worksite import Worksite, build_worksite
+from backhoe_planner.job.worksite.worksite import build_worksite
 from backhoe_planner.planning import check_effort
 
 DEFAULT_EFFORT = "quick"  # chosen: each of the jobs in scenes/jobs is planned within a minute
@@ -28,6 +29,7 @@ _MOST_CYCLES = 5000  # of a job; chosen, it only ends what would not end
 _MOST_REFUSED = 25  # cuts in a row that cannot be planned before the job is given up; chosen
 _BESIDE = 0.15  # m of radius that are left out next to a cut that could not be planned; chosen
 _NO_PROGRESS = 1e-3  # m^3 dug in a cycle: less is no progress
+_HELD_BACK = 0.9  # of what a cylinder may hold: its force decides how deep such a cut is, found to 1 %; chosen
 _NO_PLACE = ("full", "unreachable")  # parts of a failed cycle: its soil cannot be dumped anywhere
 # the reasons of jobs in which not even one cut is found, by what is in its way
 _END_WITHOUT_CUT: dict[str, JobReason] = {
@@ -92,8 +94,18 @@ def plan_job(
         terrain = resume.start
     begun = clock.monotonic()
     site = build_worksite(job, terrain=terrain)
-    run = _Run(site, effort, seed, begun)
+    run = _Run(check_whole_job(site), effort, seed, begun)
     return run.all(resume, watch)
+
+
+def plan_estimated(estimate: JobEstimate, *, effort: str, seed: int) -> JobPlan:
+    """The plan of `plan_job` for a job some of whose patterns have been estimated: these are not estimated again.
+
+    Parameters
+    ----------
+    effort, seed: as for `plan_job`, and checked.
+    """
+    return _Run(estimate.work, effort, seed, clock.monotonic(), estimate.estimates).all(None, None)
 
 
 def _check_resumed(resume: JobPlan, job: Job, terrain: Terrain | None) -> None:
@@ -144,6 +156,17 @@ class _Refusals:
         self.note = note
         self._left_out[lane] = min(self._left_out.get(lane, np.inf), float(found.cut.r[0])) - _BESIDE
 
+    def add_empty(self, found: NextCut, lane: int, number: int, *, allowed: float) -> None:
+        """Refuse a cut that takes nothing at the cycle of that number.
+
+        `allowed`: the part of what a cylinder can hold that a cut may use.
+        """
+        self.add(found, lane, f"the cut at cycle {number} takes nothing any more")
+        holding = found.cut.holding
+        if holding.ratio > _HELD_BACK * allowed:
+            depth = 100.0 * found.cut.greatest_depth
+            self.too_hard = f"this soil cannot be cut deeper than {depth:.0f} cm there: {holding.describe()}"
+
     def add_failed(self, found: NextCut, lane: int, failed: Failed) -> None:
         """Refuse a cut of which no cycle could be planned."""
         self.add(found, lane, failed.words)
@@ -162,15 +185,20 @@ class _Refusals:
 class _Run:
     """The planning of one job."""
 
-    def __init__(self, site: Worksite, effort: str, seed: int, begun: float) -> None:
-        self._site, self._effort, self._seed, self._begun = site, effort, seed, begun
-        self._work = check_whole_job(site)
-        self._patterns = patterns_to_compare(site)
+    def __init__(
+        self, work: CheckedJob, effort: str, seed: int, begun: float, known: Sequence[PatternEstimate] = ()
+    ) -> None:
+        self._work, self._site = work, work.site
+        self._effort, self._seed, self._begun, self._known = effort, seed, begun, known
+        self._patterns = patterns_to_compare(self._site)
         self._compared: tuple[PatternEstimate, ...] = ()
 
     def all(self, resume: JobPlan | None, watch: Callable[[JobStep], object] | None) -> JobPlan:
         """The plan of the whole job."""
-        self._compared = compared_patterns(self._work, self._patterns) if resume is None else resume.compared
+        if resume is None:
+            self._compared = compared_patterns(self._work, self._patterns, self._known)
+        else:
+            self._compared = resume.compared
         own = next(one for one in self._compared if one.chosen)
         pattern = next(one for one in self._patterns if one.name == own.name)
         planner = CyclePlanner(self._site, self._work.dump, effort=self._effort, seed=self._seed)
@@ -198,7 +226,7 @@ class _Run:
                 refusals.add_failed(found, lane, made)
                 ended = self._end_after(made, refusals, begun=bool(cycles))
             elif made[0].bank + made[0].taken < _NO_PROGRESS:
-                refusals.add(found, lane, f"the cut at cycle {made[0].number} takes nothing any more")
+                refusals.add_empty(found, lane, made[0].number, allowed=1.0 - self._site.digger.margin)
                 ended = "" if refusals.too_many else None
             else:
                 cycle, state = made

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.job import Job, JobPlan, estimate_job, plan_job
+from backhoe_planner.job import Job, JobEstimate, JobPlan, estimate_job, plan_estimated
 from backhoe_planner.machine import Base
 from backhoe_planner.standing.moved_job import job_with
 from backhoe_planner.standing.result import RankedPlace
@@ -69,10 +69,12 @@ def rank(
     jobs = [job, *(one for one, _ in others)]
     rough = [own.cost, *(spot.cost for _, spot in others)]
     bases = [given, *(spot.base for _, spot in others)]
-    ranked = []
+    ranked: list[RankedPlace] = []
+    estimates: list[JobEstimate | InputError] = []
     for number, (one, cost, base) in enumerate(zip(jobs, rough, bases, strict=True)):
         told("estimating places", number, len(jobs))
-        ranked.append(_estimated(one, RankedPlace(base, number == 0, cost)))
+        estimates.append(_estimate(one))
+        ranked.append(_estimated(estimates[-1], RankedPlace(base, number == 0, cost)))
     most = max((one.bank for one in ranked if math.isfinite(one.estimated)), default=0.0)
     order = sorted(
         (number for number in range(1, len(jobs)) if math.isfinite(ranked[number].estimated)),
@@ -81,7 +83,7 @@ def rank(
     wanted = [0, *order[:count]]
     for index, number in enumerate(wanted):
         told("planning in full", index, len(wanted))
-        ranked[number] = _planned(jobs[number], ranked[number], finder, effort=effort, seed=seed)
+        ranked[number] = _planned(estimates[number], ranked[number], finder, effort=effort, seed=seed)
     told("planning in full", len(wanted), len(wanted))
     return in_order(ranked)
 
@@ -119,17 +121,28 @@ def in_order(ranked: Sequence[RankedPlace]) -> list[RankedPlace]:
     return [told(one) for one in sorted(ranked, key=key)]
 
 
-def _estimated(job: Job, place: RankedPlace) -> RankedPlace:
+def _estimate(job: Job) -> JobEstimate | InputError:
+    """The estimate of a job, or why it cannot be done as it is written."""
     try:
-        best = estimate_job(job)
+        return estimate_job(job)
     except InputError as error:
-        return replace(place, note=_briefly(error))
+        return error
+
+
+def _estimated(estimate: JobEstimate | InputError, place: RankedPlace) -> RankedPlace:
+    if isinstance(estimate, InputError):
+        return replace(place, note=_briefly(estimate))
+    best = estimate.best
     return replace(place, estimated=best.cost if math.isfinite(best.cost) else math.nan, bank=best.bank)
 
 
-def _planned(job: Job, place: RankedPlace, finder: SpotFinder, *, effort: str, seed: int) -> RankedPlace:
+def _planned(
+    estimate: JobEstimate | InputError, place: RankedPlace, finder: SpotFinder, *, effort: str, seed: int
+) -> RankedPlace:
+    if isinstance(estimate, InputError):
+        return place
     try:
-        plan = plan_job(job, effort=effort, seed=seed)
+        plan = plan_estimated(estimate, effort=effort, seed=seed)
     except InputError as error:
         return replace(place, note=_briefly(error))
     note = plan.note if plan.failure else "; ".join(one.words for one in plan.undug if one.volume >= _NOTED)

@@ -13,7 +13,7 @@ from small_jobs import TINY, small_job, tiny_plan
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
-from backhoe_planner.job import Terrain, build_worksite, job_from_dict, plan_job
+from backhoe_planner.job import Cut, Digger, Profile, Terrain, build_worksite, find_cut, job_from_dict, plan_job
 from backhoe_planner.job.checked_job import check_whole_job
 from backhoe_planner.job.cycles import cycle_planning, dumping
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
@@ -21,13 +21,14 @@ from backhoe_planner.job.cycles.dump_checks import check_dump
 from backhoe_planner.job.cycles.dumping import NoDump, dump_of, ground_obstacles
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.estimates import choose, in_full
+from backhoe_planner.job.planner import _Refusals
 from backhoe_planner.job.result.job_plan import PatternEstimate
 from backhoe_planner.job.undug import find_undug
 from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.show.job.truck_load import load_body
-from backhoe_planner.site import Proximity
+from backhoe_planner.site import Proximity, Soil
 
 _TRUCK: dict[str, Any] = {"bed": {"position": [1.8, 2.9, 0.9], "size": [3.6, 1.9, 0.5]}}
 _WIDE = {"low": [0.5, -4.5], "high": [6.0, 4.5]}
@@ -377,3 +378,21 @@ def test_a_swing_post_may_be_nearer_to_the_ground_than_the_clearance_but_must_no
     high = job_from_dict(TINY | {"ground": TINY["ground"] | {"level": 0.3}})
     with pytest.raises(bp.SceneError, match=r"ground\.level: puts the ground into swing_post .* 0\.14 m inside it"):
         check_whole_job(build_worksite(high))
+
+
+@pytest.mark.parametrize(("cohesion", "is_hard"), [(100e3, True), (5e3, False)])
+def test_soil_that_is_only_scraped_is_too_hard_where_nothing_more_comes(
+    backhoe: bp.Robot, cohesion: float, is_hard: bool
+) -> None:
+    """A cut whose depth the cylinders limit names them; one of 5 cm in soft soil does not."""
+    digger = Digger(backhoe, Soil(cohesion=cohesion, friction=0.7))
+    cut = find_cut(digger, Profile.level(0.0, 0.0, 8.0), swing=0.0, start=4.2, end=3.0, depth=0.6 if is_hard else 0.05)
+    assert isinstance(cut, Cut)
+    refusals = _Refusals()
+    refusals.add_empty(NextCut(None, cut, "layer 1"), 0, 6, allowed=1.0 - digger.margin)  # type: ignore[arg-type]
+    assert refusals.note == "the cut at cycle 6 takes nothing any more"
+    if is_hard:
+        deep = f"{100.0 * cut.greatest_depth:.0f} cm"
+        assert refusals.too_hard.startswith(f"this soil cannot be cut deeper than {deep} there: {cut.holding.cylinder}")
+    else:
+        assert not refusals.too_hard

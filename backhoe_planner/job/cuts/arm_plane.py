@@ -140,7 +140,7 @@ class ArmPlane:
         q[..., -3:] = np.moveaxis(np.where((kept_by_other > kept)[..., None], other, one), 0, -1)
         if self.swings:
             q[..., 0] = swing
-            if not self.limits.lower[0] - _ROUNDING <= swing <= self.limits.upper[0] + _ROUNDING:
+            if not self._swings_to(swing):
                 q[:] = np.nan
         q[np.isnan(q[..., -1])] = np.nan
         return q
@@ -151,12 +151,18 @@ class ArmPlane:
         If joints are searched, there is one search per place from the middle of the ranges: it may miss solutions.
         """
         if self._hinges is not None:
-            return np.asarray(~np.isnan(self.joints(swing, r, z, pitch)[:, 0]))
+            one, other = (~np.isnan(found[0]) for found in self._by_elbow(r, z, pitch))
+            found = other if np.count_nonzero(other) > np.count_nonzero(one) else one
+            return np.asarray(found & self._swings_to(swing))
         places = self.world(swing, r, z)
         targets = [TipTarget(place, pitch=(float(p), float(p))) for place, p in zip(places, pitch, strict=True)]
         q, reached = solve_batch(self._kinematics, TargetBatch.of(targets), np.tile(self._guess(swing), (len(r), 1)))
         within = np.all((q >= self.limits.lower - _ROUNDING) & (q <= self.limits.upper + _ROUNDING), axis=1)
         return np.asarray(reached & within)
+
+    def _swings_to(self, swing: float) -> bool:
+        lower, upper = float(self.limits.lower[0]), float(self.limits.upper[0])
+        return not self.swings or lower - _ROUNDING <= swing <= upper + _ROUNDING
 
     def _guess(self, swing: float) -> Vector:
         guess = np.clip(self.robot.middle, self.limits.lower, self.limits.upper)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -147,6 +148,15 @@ def _rounded(pitch: Vector) -> Vector:
     return pitch
 
 
+@lru_cache(maxsize=256)
+def _stiffness(count: int) -> Matrix:
+    """(count, count) matrix of the quadratic form that `_smoothed` minimises."""
+    matrix = np.diag(np.full(count, 2.0 + _LENGTH**-2)) - np.eye(count, k=1) - np.eye(count, k=-1)
+    matrix[0, 0] = matrix[-1, -1] = 1.0 + _LENGTH**-2
+    matrix.setflags(write=False)
+    return matrix
+
+
 def _smoothed(wanted: Vector, lower: Vector, upper: Vector) -> Vector:
     """(K,) the pitch that changes least and is closest to the wanted one, within its bounds [rad].
 
@@ -157,8 +167,7 @@ def _smoothed(wanted: Vector, lower: Vector, upper: Vector) -> Vector:
     lower, upper = lower.copy(), upper.copy()
     lower[-1] = upper[-1] = np.clip(wanted[-1], lower[-1], upper[-1])
     count = len(wanted)
-    matrix = np.diag(np.full(count, 2.0 + _LENGTH**-2)) - np.eye(count, k=1) - np.eye(count, k=-1)
-    matrix[0, 0] = matrix[-1, -1] = 1.0 + _LENGTH**-2
+    matrix = _stiffness(count)
     pull = wanted / _LENGTH**2
     pitch, before = np.clip(wanted, lower, upper), None
     for _ in range(_SETS):

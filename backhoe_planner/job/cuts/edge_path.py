@@ -82,9 +82,14 @@ class Underground:
 def _highest(floor: tuple[Vector, Vector], r: Vector, step: float) -> Vector:
     """(K,) the greatest height of a floor within one step of each of the evenly spaced radii r (K,)."""
     found = np.maximum(np.interp(r - step, *floor), np.interp(r + step, *floor))
-    for own_r, own_z in zip(*floor, strict=True):
-        near = np.abs(r - own_r) <= step
-        found[near] = np.maximum(found[near], own_z)
+    own_r, own_z = (np.asarray(values, dtype=float) for values in floor)
+    nearest = np.round((own_r - r[0]) / step).astype(int)
+    for off in range(-2, 3):  # two of the radii to either side: those within a step, and room for rounding
+        index = nearest + off
+        inside = (index >= 0) & (index < len(r))
+        index, beside, z = index[inside], own_r[inside], own_z[inside]
+        near = np.abs(r[index] - beside) <= step
+        np.maximum.at(found, index[near], z[near])
     return found
 
 
@@ -95,7 +100,7 @@ def _rounded(z: Array, step: float) -> Array:
         return z
     offset = step * np.arange(-half, half + 1)
     ball = np.sqrt(np.maximum(_RADIUS**2 - offset**2, 0.0))
-    padded = np.pad(z, 2 * half, mode="edge")
+    padded = np.concatenate((np.full(2 * half, z[0]), z, np.full(2 * half, z[-1])))
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
     upper = np.max(windows + ball, axis=1)
     lower = np.min(np.lib.stride_tricks.sliding_window_view(upper, 2 * half + 1) - ball, axis=1)

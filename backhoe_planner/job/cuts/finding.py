@@ -249,7 +249,7 @@ def _lifted(asked: _Asked, r: float, z: float, highest: float) -> tuple[Vector, 
     plane, profile = asked.digger.plane, asked.profile
     level = asked.digger.bucket.level_pitch + _NEARLY_LEVEL
     inward: Vector = np.arange(r, max(r - _MOST_INWARD, float(profile.r[0]) - 0.1), -0.1, dtype=float)
-    ground = np.array([float(np.max(profile.height(np.linspace(at, r, 20)))) for at in inward])
+    ground = np.max(profile.height(np.linspace(inward, r, 20)), axis=0)
     top = np.maximum(ground, highest) + _LIFT
     reached = plane.reaches(asked.swing, inward, top, np.full(len(inward), level))
     to = int(np.argmax(reached))

@@ -122,6 +122,18 @@ class Profile:
         return np.asarray(self.surface.mean(axis=1))
 
     @cached_property
+    def _surface_lanes(self) -> _Lanes:
+        return _Lanes(self.r, self.surface)
+
+    @cached_property
+    def _bank_lanes(self) -> _Lanes:
+        return _Lanes(self.r, self.bank)
+
+    @cached_property
+    def _loose_lanes(self) -> _Lanes:
+        return _Lanes(self.r, self.loose)
+
+    @cached_property
     def slope(self) -> Vector:
         """(K,) dz/dr of the ground around each radius."""
         ahead, behind = (np.interp(self.r + step, self.r, self.mean) for step in (_BESIDE, -_BESIDE))
@@ -138,7 +150,7 @@ class Profile:
         If the edge is above all of the ground: its height above the highest lane, negative.
         """
         r, z = np.broadcast_arrays(r, z)
-        lanes = np.stack([np.interp(r, self.r, lane) for lane in self.surface.T], axis=-1) - z[..., None]
+        lanes = np.stack(list(self._surface_lanes.at(r)), axis=-1) - z[..., None]
         within = np.mean(np.maximum(lanes, 0.0), axis=-1)
         return np.asarray(np.where(within > 0.0, within, np.max(lanes, axis=-1)))
 
@@ -148,14 +160,33 @@ class Profile:
         The edge moves inward: r does not increase. Loose soil is on top of the bank, so an edge coming from above takes
         it first.
         """
-        bank, thickness = np.zeros(len(r)), np.zeros(len(r))
-        for own, on_it in zip(self.bank.T, self.loose.T, strict=True):
-            at, over = np.interp(r, self.r, own), np.interp(r, self.r, on_it)
-            solid = np.maximum(at - z, 0.0)
-            bank += solid
-            thickness += np.clip(at + over - z, 0.0, over)
+        at, over = self._bank_lanes.at(r), self._loose_lanes.at(r)
+        bank = np.maximum(at - z, 0.0).sum(axis=0)
+        thickness = np.minimum(np.maximum(at + over - z, 0.0), over).sum(axis=0)
         lanes = self.bank.shape[1]
         return _inward(r, bank / lanes) * width, _inward(r, thickness / lanes) * width
+
+
+class _Lanes:
+    """Several functions of the radius at once, as `np.interp` of each: their places are looked up once for all.
+
+    Parameters
+    ----------
+    r: (K,) increasing radii [m].
+    values: (K, L) of the functions there.
+    """
+
+    def __init__(self, r: Vector, values: Matrix) -> None:
+        self._r = r
+        self._values = np.ascontiguousarray(values.T)
+        rises = np.diff(self._values, axis=1) / np.diff(r)
+        self._rises = np.concatenate((rises, np.zeros((len(rises), 1))), axis=1)  # level beyond the last
+
+    def at(self, r: Array) -> Array:
+        """(L, ...) at radii (...) [m]; beyond the ends, as at the end."""
+        within = np.clip(r, self._r[0], self._r[-1])
+        before = np.searchsorted(self._r, within, side="right") - 1
+        return np.asarray(self._rises[:, before] * (within - self._r[before]) + self._values[:, before])
 
 
 def _inward(r: Vector, depth: Vector) -> Vector:

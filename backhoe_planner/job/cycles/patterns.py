@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -18,7 +19,7 @@ from backhoe_planner.job.cuts.cut import Cut, NoCut
 from backhoe_planner.job.cuts.finding import find_cut
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.cycles.walls import cut_of_walls
-from backhoe_planner.job.ground.sweep import BladeSweep, swept
+from backhoe_planner.job.ground.sweep import BladeSweep, Sweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.work import Face, Layers
 from backhoe_planner.job.worksite.lanes import LEAVE, Lane
@@ -78,11 +79,13 @@ class NextCut:
     lane: the lane of the cut.
     cut: the cut itself.
     step: its part of the pattern, in words.
+    sweep: what its blade takes of the ground that it was found on, before loose soil slumps; None if not computed.
     """
 
     lane: Lane
     cut: Cut
     step: str
+    sweep: Sweep | None = None
 
 
 def patterns_to_compare(site: Worksite) -> tuple[Pattern, ...]:
@@ -112,18 +115,18 @@ def next_cut(
     refused: NoCut | None = None
     best: tuple[int, str, Vector, Cut] | None = None
     held_up = False  # whether boom or stick would touch the ground next to a cut
-    profiles = [Profile.of_terrain(ground, site.plane, lane.swing, width=site.bucket.width) for lane in lanes]
-    floors = _floors(site, lanes, pattern, profiles)
+    under = [_LaneGround(site, lane, ground) for lane in lanes]
+    floors = _floors(site, lanes, pattern, [one.profile for one in under])
     # soil that fills little of the bucket is left for later if there is more elsewhere; the bucket is drawn in only if
     # no other cut fills more of it, because that search takes longer
     for drawn_in in (False, True):
         for number, (step, floor) in floors:
-            lane, profile = lanes[number], profiles[number]
-            places = _left(site, lane, profile, floor)
+            lane = lanes[number]
+            places = _left(site, lane, under[number].profile, floor)
             places = places[places < limits.get(number, np.inf)]
             if not len(places) or lane.start - lane.end < _SHORTEST:
                 continue
-            tries = _Tries(site, lane, (profile, ground), floor, drawn_in=drawn_in)
+            tries = _Tries(under[number], floor, drawn_in=drawn_in)
             found = _best(tries, lane, places, pattern)
             held_up = held_up or tries.held_up
             if isinstance(found, NoCut):
@@ -137,9 +140,40 @@ def next_cut(
             break
     if best is not None:
         number, step, floor, cut = best
-        return NextCut(lanes[number], _filled(site, lanes[number], (profiles[number], ground), floor, cut), step)
+        return _filled(under[number], floor, NextCut(lanes[number], cut, step))
     beside = cut_of_walls(site, lanes, ground, limits)
     return NextCut(*beside, WALLS) if beside is not None else refused
+
+
+@dataclass(frozen=True, eq=False)
+class _LaneGround:
+    """The present ground under a lane.
+
+    Attributes
+    ----------
+    site, lane: the lane of a worksite.
+    ground: the ground.
+    """
+
+    site: Worksite
+    lane: Lane
+    ground: Terrain
+
+    @cached_property
+    def profile(self) -> Profile:
+        """The ground under the blade."""
+        site = self.site
+        return Profile.of_terrain(self.ground, site.plane, self.lane.swing, width=site.bucket.width)
+
+    @cached_property
+    def raised(self) -> tuple[Vector, Vector]:
+        """Radii and heights below which no point of the arm may be, see `ArmOutline.raised`."""
+        site = self.site
+        return site.arm.raised(Profile.of_terrain(self.ground, site.plane, self.lane.swing, width=site.arm.span))
+
+    def is_cleared_by(self, cut: Cut) -> bool:
+        """Whether boom and stick stay above the ground on a cut."""
+        return bool(self.site.arm.clears(cut.q[::_EVERY], self.raised).all())
 
 
 class _Tries:
@@ -147,32 +181,37 @@ class _Tries:
 
     Parameters
     ----------
+    under: the ground under the lane.
     floor: (K,) height of the floor at the radii of the lane [m].
     drawn_in: whether the bucket is turned so that boom and stick stay above the ground beside the cut.
     """
 
-    def __init__(
-        self, site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, *, drawn_in: bool
-    ) -> None:
-        self._site, self._lane, self.floor, self.drawn_in = site, lane, floor, drawn_in
-        self.profile, terrain = ground
-        self._raised = site.arm.raised(Profile.of_terrain(terrain, site.plane, lane.swing, width=site.arm.span))
+    def __init__(self, under: _LaneGround, floor: Vector, *, drawn_in: bool) -> None:
+        self._under, self.floor, self.drawn_in = under, floor, drawn_in
+        self.profile = under.profile
         self.best: Cut | None = None
         self.refused: NoCut | None = None
         self.held_up = False  # whether one is out of reach because boom or stick would touch the ground next to it
         self._too_hard = set[float]()  # radii [m] from which even the thinnest cut is too much for a cylinder
+        self._known: dict[tuple[float, float, float | None], Cut | None] = {}
 
     def find(self, start: float, depth: float, entry: float | None) -> Cut | None:
         """The cut from a radius [m] with at most a given depth [m]; None if there is none."""
         if start in self._too_hard:
             return None
-        site, lane, arm = self._site, self._lane, self._site.arm
+        asked = (start, depth, entry)
+        if asked not in self._known:
+            self._known[asked] = self._found(*asked)
+        return self._known[asked]
+
+    def _found(self, start: float, depth: float, entry: float | None) -> Cut | None:
+        under, site, lane = self._under, self._under.site, self._under.lane
         found = find_cut(
             site.digger, self.profile, swing=lane.swing, start=start, end=lane.end, depth=depth,
             floor=(lane.r, self.floor), volume=site.volume, entry=entry, leave=LEAVE,
-            clears=(lambda q: arm.clears(q, self._raised)) if self.drawn_in else None,
+            clears=(lambda q: site.arm.clears(q, under.raised)) if self.drawn_in else None,
         )  # fmt: skip
-        if isinstance(found, Cut) and not arm.clears(found.q[::_EVERY], self._raised).all():
+        if isinstance(found, Cut) and not under.is_cleared_by(found):
             words = f"boom or stick would touch the ground with the teeth at {start:.2f} m from the swing axis"
             found = NoCut("reach", words, start)
         if isinstance(found, NoCut):
@@ -213,24 +252,29 @@ def _best(tries: _Tries, lane: Lane, left: Vector, pattern: Pattern) -> Cut | No
     return tries.best
 
 
-def _filled(site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, cut: Cut) -> Cut:
+def _filled(under: _LaneGround, floor: Vector, chosen: NextCut) -> NextCut:
     """The cut, lengthened if the sweep over the columns of the ground takes less than the profile says.
 
     Under the ends of the edge, the profile counts partly cut columns as soil that is still there.
     """
-    profile, terrain = ground
-    taken = float(swept(terrain, BladeSweep(cut.position, cut.across, cut.bucket.width), slump=False).volume[-1])
+    site, lane, cut = under.site, under.lane, chosen.cut
+    sweep = sweep_of(cut, under.ground)
+    chosen, taken = replace(chosen, sweep=sweep), float(sweep.volume[-1])
     if not cut.is_full or taken <= 0.0 or taken > _CLOSE * site.volume:
-        return cut
+        return chosen
     more = min(site.volume / taken, _MOST_MORE) * site.volume
     found = find_cut(
-        site.digger, profile, swing=lane.swing, start=float(cut.r[0]), end=lane.end,
+        site.digger, under.profile, swing=lane.swing, start=float(cut.r[0]), end=lane.end,
         depth=max(cut.greatest_depth, 1e-3), floor=(lane.r, floor), volume=more, leave=LEAVE,
     )  # fmt: skip
     if isinstance(found, NoCut) or found.loose_volume < cut.loose_volume:
-        return cut
-    wide = Profile.of_terrain(terrain, site.plane, lane.swing, width=site.arm.span)
-    return found if site.arm.clears(found.q[::_EVERY], site.arm.raised(wide)).all() else cut
+        return chosen
+    return replace(chosen, cut=found, sweep=None) if under.is_cleared_by(found) else chosen
+
+
+def sweep_of(cut: Cut, ground: Terrain) -> Sweep:
+    """What the blade of a cut takes of the ground, before loose soil slumps."""
+    return swept(ground, BladeSweep(cut.position, cut.across, cut.bucket.width), slump=False)
 
 
 def shallower(site: Worksite, chosen: NextCut, ground: Terrain, part: float) -> NextCut | None:
@@ -268,12 +312,12 @@ def _floors(
         order = sorted(every, key=far, reverse=True)
         return [(number, (f"lane {number + 1}" if len(lanes) > 1 else "face", lanes[number].line)) for number in order]
     found: list[tuple[int, tuple[str, Vector]]] = []
-    layers = 0
+    layers, firsts = 0, [_first_ground(site, lane) for lane in lanes]
     for layer in range(1, _MOST_LAYERS):
         last, here = True, []
         for number in every:
             lane = lanes[number]
-            level = _first_ground(site, lane) - layer * pattern.depth
+            level = firsts[number] - layer * pattern.depth
             floor = np.maximum(lane.line, level)
             last = last and bool(np.all(floor <= lane.line + 1e-9))
             if len(_left(site, lane, profiles[number], floor)):

@@ -21,6 +21,7 @@ from backhoe_planner.job.ground.terrain import Terrain
 _LAID = 1e-6  # m of soil on a column that counts as none: rounding leaves as much
 _HALVINGS_OF_APEX = 40  # of the apex height: from metres to rounding
 _CLIFF = 2.5  # times the drop at the angle of repose; chosen: a trench's wall is as steep, loose soil never is
+_ROUNDING = 1e-6  # m of a level, far above rounding
 _HALVINGS = 12  # of a volume, to find how much fits if soil slumps: to 1 in 4,000
 
 
@@ -171,20 +172,33 @@ def _cone(terrain: Terrain, place: Vector, total: float) -> Matrix:
     covered = part(low)
     if top == own and covered.sum() == ((start < low) & open_to).sum():
         return np.where(covered, low - start, 0.0)
+    # no level below that of all columns is high enough, as the heap covers a part of them
+    least, parts = low - _ROUNDING, (0, start.size)
     low, high = float(start[own]), float(start[own]) + total
     for _ in range(_HALVINGS_OF_APEX):
         middle = 0.5 * (low + high)
+        if middle < least:
+            low = middle
+            continue
         covered = part(middle)
         if float((middle - start[covered]).sum()) < total:
-            low = middle
+            low, parts = middle, (int(covered.sum()), parts[1])
         else:
-            high = middle
+            high, parts = middle, (parts[0], int(covered.sum()))
+        if parts[0] == parts[1]:  # a higher apex never covers less: every apex between covers the same columns
+            break
     covered = part(high)
     return np.where(covered, np.maximum(_level(start[covered], total) - start, 0.0), 0.0)
 
 
 def _level(start: Array, total: float) -> float:
-    return level_for(start, np.full(start.shape, np.inf), total)
+    start = start.ravel()
+    low, step = float(start.min()), total / len(start)
+    # columns that begin above a level at which there is enough are not sorted
+    while float(np.maximum(low + step - start, 0.0).sum()) <= total:
+        step *= 2.0
+    own = start[start <= low + step]
+    return level_for(own, np.full(own.shape, np.inf), total)
 
 
 def _foots(terrain: Terrain) -> Flags:

@@ -183,7 +183,7 @@ def _check_depth(site: Worksite, lanes: Sequence[Lane]) -> None:
         "is deeper than the machine digs there", file=site.job.file,
         key="dig.trench.depth" if trench is not None else "dig.surface",
         found=f"{trench.depth:g} m below the ground at `from`" if trench is not None else found,
-        allowed=f"about {trench.depth - least:.2f} m where they reach deepest" if trench is not None else None,
+        allowed=f"about {trench.depth - least:.2f} m where the teeth reach deepest" if trench is not None else None,
         hint=_move_what_protects(lanes) or "stand nearer, or dig less deep",
     )  # fmt: skip
 
