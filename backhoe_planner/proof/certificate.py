@@ -34,7 +34,7 @@ from backhoe_planner.proof.limits import (
     position_use,
     tip_speed_use,
 )
-from backhoe_planner.site import Obstruction, Proximity
+from backhoe_planner.site import Obstruction, Proximity, obstacles_in_reach
 
 _STARTS_AT = 1e-5  # m and rad: the rounding of inverse kinematics is below this
 _STARTS_AT_JOINTS = 1e-9  # rad or m: the rounding in a plan file is below this
@@ -173,7 +173,8 @@ class LegCertificate:
 def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:
     """Prove what holds over a motion, or over the part of one that belongs to a leg."""
     problem.robot.check_q(trajectory.q[0], what="trajectory.q")
-    clearances = find_clearances(Proximity(problem.robot, problem.obstacles), trajectory)
+    around = obstacles_in_reach(problem.robot, problem.obstacles)
+    clearances = find_clearances(Proximity(problem.robot, around), trajectory)
     position = position_use(problem, trajectory)
     velocity, acceleration, effort, hydraulics = machine_uses(problem, trajectory)
     kinematics = Kinematics(problem.robot)

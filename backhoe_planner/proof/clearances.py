@@ -17,7 +17,7 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.proof.sample_bounds import bound_samples, measure_below
-from backhoe_planner.site import Obstruction, Proximity
+from backhoe_planner.site import REPORTED, Obstruction, Proximity
 
 RESOLUTION = 1e-4  # m: how far a proven bound may be below the true least distance; chosen, a tenth of a millimetre
 _RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, if that is more; chosen
@@ -34,7 +34,6 @@ STEP_ROUNDING = (
 _TOUCHING_DEPTH = 9  # halvings: 1/512 of a step of 0.02 m moves no point by more than `TOUCH`
 _FIRST_LOOKS = 16  # samples between two first measurements; chosen
 _Ends = tuple[float | None, float | None]  # margins at the ends of a segment, None where not measured [m]
-_NEVER = 10.0  # m: an obstacle whose margin is always above this is not reported; chosen, beyond a machine's reach
 
 
 def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstruction, ...]:
@@ -53,7 +52,7 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     proximity.cover_unchecked(q)
     owners = np.where(proximity.owner >= 0, proximity.owner, len(proximity.obstacles))
     searches = [_Search(proximity, time, q) for _ in range(len(proximity.obstacles) + 1)]
-    least = np.full(len(searches), _NEVER)
+    least = np.full(len(searches), REPORTED)
     enough = least[owners]
 
     def note(row: int, pairs: Indices, margins: Vector) -> Vector:
@@ -65,7 +64,7 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
             search.note(float(margins[k]), float(time[row]), int(pairs[k]))
             least[owners[pairs[k]]] = search.least
         if nearer:
-            enough = np.where(least < _NEVER, _to_prove(least), least)[owners]
+            enough = np.where(least < REPORTED, _to_prove(least), least)[owners]
         return enough
 
     # a few measurements tell roughly where each obstacle is nearest; pairs further away are then rarely measured
@@ -129,7 +128,7 @@ class _Search:
 
     def __init__(self, proximity: Proximity, time: Vector, q: Matrix) -> None:
         self._proximity, self._time, self._q = proximity, time, q
-        self.least = _NEVER
+        self.least = REPORTED
         self._where = (0.0, 0)  # moment and pair of the least margin
         # (bound, tie-breaker, segment, pair, how much the margin can change on the segment, from, to, margins there):
         # parts 0..1 of a segment
@@ -174,7 +173,7 @@ class _Search:
                 end = start + 0.5 * (b - a)
                 heapq.heappush(self._open, (bound, tie, segment, pair, way, start, end, (m_1, m_2)))
         proven = _to_prove_of_one(self.least)
-        if self.least >= _NEVER and not (self._open and self._open[0][0] < proven):
+        if self.least >= REPORTED and not (self._open and self._open[0][0] < proven):
             return None
         if self._open:
             proven = min(proven, self._open[0][0])

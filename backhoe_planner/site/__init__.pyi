@@ -1,4 +1,6 @@
 from .distances.clearance_screen import ClearanceScreen as ClearanceScreen
+from .distances.pair_listing import REPORTED as REPORTED
+from .distances.pair_listing import obstacles_in_reach as obstacles_in_reach
 from .distances.proximity import Proximity as Proximity
 from .distances.zone_log import Level as Level
 from .distances.zone_log import Transgression as Transgression

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -80,13 +81,15 @@ class Obstacle:
         """The distance beyond the clearance within which the servo goes slower [m]."""
         return 0.0 if self.zone is None else self.zone.slow_distance - self.zone.stop
 
-    @property
+    @cached_property
     def bounds(self) -> Matrix:
         """(2, 3) lowest and highest corner of a box around it where it appears [m]; infinite where it is unbounded."""
         if self.cluster is not None:
             return self.cluster.bounds
         ends = np.array([_bounds_of(piece) for piece in self.pieces])
-        return np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
+        found = np.array([ends[:, 0].min(axis=0), ends[:, 1].max(axis=0)])
+        found.setflags(write=False)
+        return found
 
     def box_away_unchecked(self, point: Vector) -> float:
         """How far the box around it is from a point (3,) [m]; 0 in the box."""

@@ -20,7 +20,7 @@ from backhoe_planner.job.cuts.edge_path import Descent, Underground
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.schema.work import Trench
 from backhoe_planner.job.worksite.worksite import Worksite
-from backhoe_planner.site import ClearanceScreen, Proximity
+from backhoe_planner.site import ClearanceScreen, Proximity, obstacles_in_reach
 
 # rad: 80 and 69 degrees; an edge that leaves more steeply pushes the soil out again. Chosen: with 86 and 80, 0.15 m^3
 # less is left at the ends of a trench of 3 m, but it takes 21 cuts instead of 14
@@ -83,7 +83,7 @@ def lanes_of(site: Worksite) -> tuple[Lane, ...]:
     if site.job.dig.trench is not None:
         own = _along_trench(site, middle)
         swings = swings if own is None else own
-    proximity = Proximity(site.robot, site.problem.obstacles)
+    proximity = Proximity(site.robot, obstacles_in_reach(site.robot, site.problem.obstacles))
     screen = ClearanceScreen(proximity, spare=_SPARE)
     found = [_lane(site, float(swing), screen, proximity) for swing in swings]
     return tuple(lane for lane in found if lane is not None)

@@ -16,7 +16,7 @@ from backhoe_planner.planning.reactive.stepping import PlannerStep, Stepper, Wat
 from backhoe_planner.planning.search.effort import Effort, Work
 from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.planning.stretches.stretch import Stretch
-from backhoe_planner.site import Obstacle, Proximity
+from backhoe_planner.site import Obstacle, Proximity, obstacles_in_reach
 
 _SEEDS_APART = (
     7_368_787  # a prime, so that restarted searches share no draws with the routes of this seed or of the next one
@@ -32,7 +32,7 @@ class World:
     problem: what is to be planned.
     seed: of every random choice.
     work: the remaining effort of the plan; worlds made by `among` share it.
-    proximity: to the obstacles that count here.
+    proximity: to the obstacles that count here and that the machine can come near.
     kinematics: of the machine.
     postures: finds configurations for the tip among these obstacles.
     apart: how much more than its clearance a pair keeps along a path, wherever it can [m]; by the names of a link and
@@ -127,7 +127,7 @@ class World:
 
     def _put(self, obstacles: Sequence[Obstacle]) -> None:
         self._obstacles = obstacles
-        self.proximity = Proximity(self.problem.robot, obstacles)
+        self.proximity = Proximity(self.problem.robot, obstacles_in_reach(self.problem.robot, obstacles))
         self.postures = Postures(
             self.problem, proximity=self.proximity, kinematics=self.kinematics, rng=np.random.default_rng(self.seed)
         )

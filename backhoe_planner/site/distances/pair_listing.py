@@ -14,6 +14,27 @@ from backhoe_planner.site.distances.cluster_distances import ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.obstruction import Pair
 
+REPORTED = 10.0  # m: an obstacle whose margin is always above this is not reported; chosen, beyond a machine's reach
+
+
+def obstacles_in_reach(robot: Robot, obstacles: Sequence[Obstacle]) -> tuple[Obstacle, ...]:
+    """The obstacles that move, or that some posture can bring within `REPORTED` of their clearances, in their order.
+
+    What is left out lies beyond the ball that no part of the machine leaves, at any angles. A machine with slides has
+    no such ball outside of its limits: all obstacles are kept.
+    """
+    if robot.prismatic.any() or not obstacles:
+        return tuple(obstacles)
+    anywhere = (np.inf,) * robot.n
+    centre, radius = ball_within(robot, anywhere)
+    off_plan = 0.0 if robot.tube is None else float((travel_of_pieces(robot, anywhere) @ robot.tube.joints).max())
+    low, high = np.array([obstacle.bounds for obstacle in obstacles]).swapaxes(0, 1)
+    away = np.linalg.norm(np.maximum(np.maximum(low - centre, centre - high), 0.0), axis=1) - radius
+    clearance = np.array([obstacle.clearance for obstacle in obstacles])
+    moves = np.array([obstacle.velocity for obstacle in obstacles]).any(axis=1)
+    kept = moves | (away < REPORTED + clearance + off_plan)
+    return tuple(obstacle for obstacle, near in zip(obstacles, kept.tolist(), strict=True) if near)
+
 
 def list_pairs(
     robot: Robot, obstacles: Sequence[Obstacle], pieces: Sequence[LinkPiece], clusters: ClusterDistances, *, own: bool
