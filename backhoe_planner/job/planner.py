@@ -195,17 +195,20 @@ class _Run:
 
     def all(self, resume: JobPlan | None, watch: Callable[[JobStep], object] | None) -> JobPlan:
         """The plan of the whole job."""
+        planner = CyclePlanner(self._site, self._work.dump, effort=self._effort, seed=self._seed)
+        state, start = self._work.dump.first(self._site.ground, self._work.grounds), self._site.problem.start_q
         if resume is None:
+            # before the patterns are compared, which takes longer
+            if start is not None and (failed := planner.stands_in(start, state)) is not None:
+                raise self._bad_start(failed)
             self._compared = compared_patterns(self._work, self._patterns, self._known)
         else:
             self._compared = resume.compared
         own = next(one for one in self._compared if one.chosen)
         pattern = next(one for one in self._patterns if one.name == own.name)
-        planner = CyclePlanner(self._site, self._work.dump, effort=self._effort, seed=self._seed)
         cycles = [] if resume is None else list(resume.cycles)
         refusals = _Refusals()
         ended: JobReason | None = None
-        state = self._work.dump.first(self._site.ground, self._work.grounds)
         for cycle in cycles:
             state = planner.again(state, cycle)
         self._tell(watch, cycles, own.cycles)
@@ -218,7 +221,7 @@ class _Run:
                 ended = "" if cycles else _END_WITHOUT_CUT[found.kind]
                 break
             lane = self._work.lanes.index(found.lane)
-            at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else self._site.problem.start_q
+            at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else start
             made = planner.plan(len(cycles) + 1, at, state, found)
             if isinstance(made, Failed):
                 if made.stands_in and not cycles:

@@ -25,6 +25,7 @@ from backhoe_planner.job.planner import _Refusals
 from backhoe_planner.job.result.job_plan import PatternEstimate
 from backhoe_planner.job.undug import find_undug
 from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
+from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.show.job.truck_load import load_body
@@ -396,3 +397,19 @@ def test_soil_that_is_only_scraped_is_too_hard_where_nothing_more_comes(
         assert refusals.too_hard.startswith(f"this soil cannot be cut deeper than {deep} there: {cut.holding.cylinder}")
     else:
         assert not refusals.too_hard
+
+
+def test_a_start_in_an_obstacle_is_refused_before_patterns_are_compared(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The estimates take half a minute, the start some milliseconds."""
+
+    def never(*_: object) -> PatternEstimate:
+        raise AssertionError("a pattern was estimated")
+
+    monkeypatch.setattr("backhoe_planner.job.estimates.estimate_pattern", never)
+    start = {"swing": 1.2, "boom": 0.9, "stick": -1.6, "bucket": -1.8}
+    teeth = Kinematics(backhoe).at(np.array(list(start.values()))).tip_position
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": teeth.tolist()}
+    with pytest.raises(bp.SceneError, match=r"start: stands in ball or too near to it; found at the start bucket is"):
+        plan_job(small_job(site={"obstacles": [ball]}, start=start, pattern="auto"))

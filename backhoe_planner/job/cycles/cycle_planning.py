@@ -73,6 +73,11 @@ class CyclePlanner:
         """The site before the first cycle."""
         return self._dump.first(ground, ground_obstacles(self._site, ground))
 
+    def stands_in(self, start: Vector, state: SiteState) -> Failed | None:
+        """Why no motion can begin at `start` (n,) if the machine is in something or too near to it there, or None."""
+        stay = self._transfers.to("approach", start, [start], ground=state.obstacles, payload=0.0)
+        return Failed("approach", stay.why, stay.stands_in) if stay.stands_in else None
+
     def after_cut(self, ground: Terrain, before: SiteState) -> SiteState:
         """The site with the ground after a cut."""
         return replace(before, ground=ground, grounds=ground_obstacles(self._site, ground, before=before.grounds))
