@@ -167,13 +167,14 @@ class _Refusals:
             depth = 100.0 * found.cut.greatest_depth
             self.too_hard = f"this soil cannot be cut deeper than {depth:.0f} cm there: {holding.describe()}"
 
-    def add_failed(self, found: NextCut, lane: int, failed: Failed) -> None:
-        """Refuse a cut of which no cycle could be planned."""
+    def add_failed(self, found: NextCut, lane: int, failed: Failed, number: int) -> None:
+        """Refuse a cut of which no cycle, of that number, could be planned."""
         self.add(found, lane, failed.words)
         if failed.part == "limits":  # a shallower cut exceeds them, too
             self.too_hard = failed.words
         elif found.step != WALLS and failed.part not in ("rules", *_NO_PLACE):
-            self.blocked = failed.words  # not by a last cut along a wall: without it most is dug
+            # not by a last cut along a wall: without it most is dug
+            self.blocked = f"{failed.part} of cycle {number}: {failed.words}"
 
     def add_no_cut(self, found: NoCut) -> None:
         """Note that nothing more is found to dig."""
@@ -226,7 +227,7 @@ class _Run:
             if isinstance(made, Failed):
                 if made.stands_in and not cycles:
                     raise self._bad_start(made)
-                refusals.add_failed(found, lane, made)
+                refusals.add_failed(found, lane, made, len(cycles) + 1)
                 ended = self._end_after(made, refusals, begun=bool(cycles))
             elif made[0].bank + made[0].taken < _NO_PROGRESS:
                 refusals.add_empty(found, lane, made[0].number, allowed=1.0 - self._site.digger.margin)

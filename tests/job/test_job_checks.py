@@ -12,7 +12,7 @@ import pytest
 from small_jobs import TINY, small_job, tiny_plan
 
 import backhoe_planner as bp
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.job import Cut, Digger, Profile, Terrain, build_worksite, find_cut, job_from_dict, plan_job
 from backhoe_planner.job.checked_job import check_whole_job
 from backhoe_planner.job.cycles import cycle_planning, dumping
@@ -167,7 +167,7 @@ def test_a_job_without_a_swing_motion_to_the_dump_ends_as_blocked(monkeypatch: p
     words = "no way past the wall"
     monkeypatch.setattr(CyclePlanner, "plan", lambda *_: Failed("swing", words))
     found = plan_job(small_job(), effort="quick")
-    assert (found.verdict, found.reason, found.note) == ("failed", "blocked", words)
+    assert (found.verdict, found.reason, found.note) == ("failed", "blocked", f"swing of cycle 1: {words}")
 
 
 def test_a_job_whose_cuts_break_a_rule_ends_as_not_done_since_nothing_is_in_the_way(
@@ -226,6 +226,25 @@ def test_a_cut_that_exceeds_a_limit_is_planned_slower_or_shallower(monkeypatch: 
         assert runs[1][0] > 1.2 * runs[0][0]
         assert runs[1][1] == pytest.approx(runs[0][1], abs=1e-3)
     assert runs[2][1] == pytest.approx(0.7 * runs[0][1], abs=0.02)
+
+
+def test_a_cut_that_breaks_a_rule_is_planned_shallower(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Near the inner end of a trench the plate rubs on deep cuts only; there, 0.26 m^3 stayed in a trench of 3 m."""
+    site = build_worksite(small_job())
+    chosen = next_cut(site, lanes_of(site), Pattern("layers", 0.3), site.ground)
+    assert isinstance(chosen, NextCut)
+    planner = CyclePlanner(site, dump_of(site), effort="quick", seed=0)
+    lowest: list[float] = []
+
+    def rules(digger: Digger, _: Profile, q: Matrix, *, swing: float) -> list[str]:
+        lowest.append(float(digger.plane.place(q)[1].min()))
+        return [] if lowest[-1] > 0.8 * lowest[0] else ["the plate rubs"]
+
+    monkeypatch.setattr(cycle_planning, "broken_rules", rules)
+    made = planner.plan(1, None, planner.first(site.ground), chosen)
+    assert not isinstance(made, Failed)
+    assert made[0].verified
+    assert lowest[1:] == pytest.approx([0.7 * lowest[0]], abs=0.02)
 
 
 @pytest.fixture(scope="module")
@@ -413,3 +432,11 @@ def test_a_start_in_an_obstacle_is_refused_before_patterns_are_compared(
     ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": teeth.tolist()}
     with pytest.raises(bp.SceneError, match=r"start: stands in ball or too near to it; found at the start bucket is"):
         plan_job(small_job(site={"obstacles": [ball]}, start=start, pattern="auto"))
+
+
+@pytest.mark.parametrize(("level", "said"), [(200.0, "200.00 m above"), (-30.0, "30.00 m below")])
+def test_ground_at_another_height_than_the_machine_is_named(level: float, said: str) -> None:
+    """Before, the advice was to stand nearer to the trench or farther from it."""
+    site = build_worksite(small_job(ground={"level": level}))
+    with pytest.raises(bp.SceneError, match=f"the ground there is {said} the machine.*: see ground.level"):
+        check_whole_job(site)

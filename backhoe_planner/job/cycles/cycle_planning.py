@@ -24,8 +24,8 @@ from backhoe_planner.motion import Keep, Problem, Trajectory
 from backhoe_planner.proof import certify_problem
 
 _HIGHER = (0.0, 0.15, 0.35)  # m by which the bucket is lifted further at both ends of a cut, tried in turn; chosen
-# parts of the joint rates, and of the depth, tried in turn if a cut exceeds the limits: on rough ground the force
-# between the places of a cut was up to 8 % above that at its places, in one of 400
+# parts of the joint rates, and of the depth, tried in turn if a cut exceeds the limits; the depth also if it breaks a
+# rule. On rough ground the force between the places of a cut was up to 8 % above that at its places, in one of 400
 _PACES, _SHALLOWER = (1.0, 0.7), (0.7, 0.4)
 _PLACES = 3  # greatest number of places that are tried for dumping a bucketful
 
@@ -119,11 +119,11 @@ class CyclePlanner:
         number: number of the cycle, from 1.
         start: (n,) the machine's posture at the start; None if it may begin above the cut.
         state: the site as it is.
-        chosen: the cut; a shallower one is dug if its motion exceeds what the machine can do.
+        chosen: the cut; a shallower one is dug if its motion exceeds what the machine can do, or breaks a rule.
         """
         found = self._planned(number, start, state, chosen)
         for part in _SHALLOWER:
-            if not isinstance(found, Failed) or found.part != "limits":
+            if not isinstance(found, Failed) or found.part not in ("limits", "rules"):
                 break
             less = shallower(self._site, chosen, state.ground, part)
             if less is not None:

@@ -19,6 +19,7 @@ from backhoe_planner.site import InTheWay, stands_in
 _COLUMNS = 4  # least number of columns side by side under the blade; chosen: with fewer, half of them are edges
 
 _ROUNDING = 1e-9  # of a column
+_OTHER_HEIGHT = 2.0  # m of the ground from the machine's, beyond which this is said to be why; chosen, half its depth
 _FAR = 0.25  # of the wanted depth: a bottom missed by more is far out of reach; chosen
 
 
@@ -258,6 +259,13 @@ def _place(site: Worksite, lane: Lane, r: float) -> Vector:
 
 
 def _from_where(site: Worksite, asked: Vector) -> str:
+    trench, given = site.job.dig.trench, site.job.ground
+    assert trench is not None
+    height = float(np.mean(site.ground.height_at(np.array([trench.start, trench.end]))))
+    if abs(height) > _OTHER_HEIGHT:
+        key = "level" if given.file is None else "map_origin" if given.map_origin is not None else "file"
+        side = "above" if height > 0.0 else "below"
+        return f"the ground there is {abs(height):.2f} m {side} the machine, which stands at z = 0: see ground.{key}"
     return (
         f"the trench lies {asked.min():.2f} to {asked.max():.2f} m from the swing axis: stand nearer or farther on its "
         "line, or dig it from two places"
