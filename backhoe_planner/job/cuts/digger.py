@@ -79,7 +79,7 @@ class Digger:
         rows = np.vstack((q, q[:-1], 0.5 * (q[:-1] + q[1:]), q[1:]))
         direction = np.vstack((np.gradient(q, axis=0), step, step, step))
         fast = direction / np.maximum(np.max(np.abs(direction), axis=1, keepdims=True), 1e-12)
-        weight = self._drive.rigid_torques(q, 0.0 * q, 0.0 * q)
+        weight = self._drive.gravity_torques(q)
         weights = np.vstack((weight, weight[:-1], 0.5 * (weight[:-1] + weight[1:]), weight[1:]))
         torque = weights - SoilReaction(self.robot, self.soil, ground).torques(rows, fast)
         use = self._drive.effort_use(rows, torque)

@@ -107,6 +107,10 @@ class Drive:
         """(K, n) torques against inertia and gravity at q, v, a (K, n) [N m or N]."""
         return self._dynamics.torques_along(q, v, a)
 
+    def gravity_torques(self, q: Array) -> Array:
+        """(K, n) torques that hold the machine and its payload still at q (K, n) [N m or N]."""
+        return self._dynamics.gravity_torques(q)
+
     def rigid_torque_slopes(self, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
         """`rigid_torques`, and (K, n, 3 n) their derivatives with respect to q, v and a."""
         return self._dynamics.torque_slopes(q, v, a)
@@ -156,9 +160,8 @@ class Drive:
             return np.asarray(np.where(torque == 0.0, 0.0, np.minimum(np.abs(torque) / there, _MOST)))
 
     def static_use(self, q: Array) -> Array:
-        """(K, n) the torque that holds the machine and its load still at q (K, n), over the greatest of each joint."""
-        still = np.zeros_like(q)
-        return self.effort_use(q, self.rigid_torques(q, still, still))
+        """(K, n) the `gravity_torques` at q (K, n), over the greatest of each joint in that direction."""
+        return self.effort_use(q, self.gravity_torques(q))
 
     def power_use(self, q: Array, v: Array, torque: Array) -> Array:
         """(...) power in the oil over the engine's, at q, v (..., n) with `torque` (..., n) [N m or N]."""

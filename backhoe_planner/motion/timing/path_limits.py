@@ -110,9 +110,8 @@ class _Loads:
         if self._drive is None:
             return
         q, slope = shape.q, shape.slope
-        still = np.zeros_like(q)
-        self._gravity = self._drive.rigid_torques(q, still, still)
-        self._inertia = self._drive.rigid_torques(q, still, slope) - self._gravity
+        self._gravity = self._drive.gravity_torques(q)
+        self._inertia = self._drive.rigid_torques(q, np.zeros_like(q), slope) - self._gravity
         if np.array_equal(shape.bend_before[:-1], shape.bend_after[1:]):  # the bend does not jump at the points
             bend = np.concatenate((shape.bend_after, shape.bend_before[-1:]))
             turning = self._drive.rigid_torques(q, slope, bend) - self._gravity

@@ -462,8 +462,7 @@ def _drive_use(trajectory: Trajectory, drive: Drive) -> float:
     most, worst = float(np.max(use.speeds)), float(np.max(use.effort))
     if worst <= max(most, 1.0):
         return max(most, worst)
-    still = np.zeros_like(trajectory.q)
-    load = drive.rigid_torques(trajectory.q, still, still)
+    load = drive.gravity_torques(trajectory.q)
     for static in (load, load + drive.soil_torques(trajectory.q, trajectory.v)):
         if np.any(drive.effort_use(trajectory.q, static) > 1.0):
             return most

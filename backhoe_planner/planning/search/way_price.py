@@ -26,8 +26,7 @@ def price_of(problem: Problem, like: Trajectory, longest: float) -> Price:
 
     def kinetic(a: Matrix, b: Matrix) -> Vector:
         middle, step = 0.5 * (a + b), b - a
-        still = np.zeros_like(middle)
-        inertia = drive.rigid_torques(middle, still, step) - drive.rigid_torques(middle, still, still)
+        inertia = drive.rigid_torques(middle, np.zeros_like(middle), step) - drive.gravity_torques(middle)
         return np.asarray(np.sqrt(np.maximum(np.sum(step * inertia, axis=1), 0.0)))
 
     q = like.at(np.linspace(0.0, like.duration, _PLACES))

@@ -39,9 +39,9 @@ def largest_payload(problem: Problem, q: Vector) -> float | None:
     empty, light = (
         drive_of(replace(problem, scene=scene.model_copy(update={"payload": mass}))) for mass in (0.0, 1.0)
     )  # fmt: skip
-    at, still = q[None], np.zeros((1, len(q)))
-    own = empty.rigid_torques(at, still, still)[0]
-    each = light.rigid_torques(at, still, still)[0] - own
+    at = q[None]
+    own = empty.gravity_torques(at)[0]
+    each = light.gravity_torques(at)[0] - own
     limits = empty.torque_limits(at)
     if np.any(own > limits.positive[0]) or np.any(-own > limits.negative[0]):
         return None
