@@ -16,7 +16,6 @@ MachineLimit = Literal["position", "velocity", "acceleration", "effort", "hydrau
 LimitName = Literal[MachineLimit, "tip_speed", "duration"]
 
 JOINTS_WITHIN = 1e-6  # part of a limit of the joints: rounding
-_ROUNDING = 1e-9  # part of a torque, by which the same sum differs alone and among others
 # part of the required speed; chosen for motions from other programs: plans are timed to within 0.1 %
 _TIP_SPEED_WITHIN = 0.03
 _WITHIN = {
@@ -177,25 +176,22 @@ def _worst(problem: Problem, usage: LimitUsage, *kinds: str) -> LimitUse:
     """The limit of these kinds that is used most."""
     row, column = usage.worst(*kinds)
     (kind, joint), ratio, moments = usage.limits[column], float(usage.ratio[row, column]), usage.moments
-    time, q, v = float(moments.time[row]), moments.q[row : row + 1], moments.v[row : row + 1]
+    time, q = float(moments.time[row]), moments.q[row : row + 1]
     index = problem.robot.joint_names.index(joint) if joint else 0
     turns = problem.robot.joint_units[index]
     hydraulics = problem.robot.hydraulics
     if kind == "torque":
-        drive, still = drive_of(problem), np.zeros_like(q)
-        torque, limits = drive.use(q, v, moments.a[row : row + 1]).torque, drive.torque_limits(q)
-        at_rest = float(drive.static_use(q)[0, index])
-        if abs(ratio - at_rest) <= _ROUNDING * at_rest:  # at rest at one end of the motion
-            torque = drive.rigid_torques(q, still, still)
-        available = _finite((limits.positive if torque[0, index] > 0.0 else limits.negative)[0, index])
+        drive, torque = drive_of(problem), float(usage.torque[row, index])
+        limits, at_rest = drive.torque_limits(q), float(drive.static_use(q)[0, index])
+        available = _finite((limits.positive if torque > 0.0 else limits.negative)[0, index])
         unit = "N" if turns == "m" else "N m"
-        return LimitUse(kind, joint, ratio, time, float(torque[0, index]), available, unit, at_rest)
+        return LimitUse(kind, joint, ratio, time, torque, available, unit, at_rest)
     if kind in ("velocity", "acceleration"):
         available, unit = _finite(getattr(problem.limits, kind)[index]), f"{turns}/s" + "^2" * (kind != "velocity")
     else:
         assert hydraulics is not None
         limits = hydraulics.velocity_limits(q)
-        rods = limits.positive if v[0, index] > 0.0 else limits.negative
+        rods = limits.positive if moments.v[row, index] > 0.0 else limits.negative
         available, unit = {
             "rod speed": (_finite(rods[0, index]), f"{turns}/s"),
             "pump flow": (hydraulics.pump_flow, "m^3/s"),

@@ -212,3 +212,21 @@ def test_a_load_is_taken_up_in_a_posture_in_which_it_can_be_held(backhoe: bp.Rob
     assert plan.verified, plan.message
     first = plan.legs[0].trajectory.q[-1]
     assert use_at_rest(backhoe, first, 1500.0) <= 1.01
+
+
+def test_the_torque_in_a_certificate_is_that_of_its_ratio(backhoe: bp.Robot) -> None:
+    """Also where the velocity jumps: then the torque of the side on which it is greater counts."""
+    payload = payload_for(backhoe, ACROSS, 0.8)
+    rng = np.random.default_rng(7)
+    for _ in range(6):
+        corners = ACROSS + np.vstack((np.zeros(4), rng.uniform(-0.5, 0.5, (3, 4))))
+        motion = bp.Trajectory.from_steps(np.array([0.0, 0.3, 0.8, 1.0]), corners)
+        goal = {"goal": {"joints": posture(backhoe, corners[-1])}}
+        problem = build_problem(backhoe, scene(backhoe, ACROSS, goal, payload))
+        effort, usage = bp.certify(backhoe, problem.scene, motion).effort, limit_usage(problem, motion)
+        assert effort is not None
+        assert abs(effort.needed) / effort.available == pytest.approx(effort.ratio, rel=1e-9)
+        allowed = drive_of(problem).torque_limits(usage.moments.q)
+        most = np.where(usage.torque > 0.0, allowed.positive, allowed.negative)
+        of_torques = [column for column, name in enumerate(usage.names) if name.startswith("torque ")]
+        np.testing.assert_allclose(np.abs(usage.torque) / most, usage.ratio[:, of_torques], rtol=1e-9)

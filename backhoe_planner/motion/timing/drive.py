@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array
+from backhoe_planner.arrays import Array, Flags
 from backhoe_planner.machine import BothWays, Dynamics, Hydraulics, Kinematics, Robot
 from backhoe_planner.motion.legs import leg_parts
 from backhoe_planner.motion.problem import Problem
@@ -255,27 +255,39 @@ class Drive:
         """The use of the drive at `moments`.
 
         Speeds and flow are also checked halfway between them; torques and power also at corners
-        with the velocities on both sides.
+        with the velocities on both sides. A torque is that of the greater effort.
         """
         use = self.use(moments.q, moments.v, moments.a)
         if len(moments.time) < 2:
             return use
-        effort, power = use.effort.copy(), use.power.copy()
+        torque, effort, power = use.torque, use.effort, use.power.copy()
         for side in (moments.before, moments.after):
             corner = np.any(side != moments.v, axis=1)
             if corner.any():
                 there = self.use(moments.q[corner], side[corner], moments.a[corner])
-                effort[corner] = np.maximum(effort[corner], there.effort)
+                torque, effort = _with_greater(torque, effort, corner, there.torque, there.effort)
                 power[corner] = np.maximum(power[corner], there.power)
         middle = 0.5 * (moments.q[:-1] + moments.q[1:])
         v = np.diff(moments.q, axis=0) / np.diff(moments.time)[:, None]
         return replace(
             use,
+            torque=torque,
             effort=effort,
             power=power,
             rod_speed=np.maximum(use.rod_speed, _beside(self.rod_speed_use(middle, v))),
             flow=np.maximum(use.flow, _beside(self.flow_use(middle, v))),
         )
+
+
+def _with_greater(
+    torque: Array, effort: Array, rows: Flags | list[int], torque_there: Array, effort_there: Array
+) -> tuple[Array, Array]:
+    """(K, n), (K, n) torques and efforts, in some rows those `there` (R, n) where that effort is greater."""
+    torque, effort = torque.copy(), effort.copy()
+    greater = effort_there > effort[rows]
+    torque[rows] = np.where(greater, torque_there, torque[rows])
+    effort[rows] = np.where(greater, effort_there, effort[rows])
+    return torque, effort
 
 
 def _beside(between: Array) -> Array:
@@ -306,11 +318,13 @@ class LimitUsage:
     limits: L kinds with the joint that each belongs to: ``velocity``, ``acceleration``, ``torque`` and
         ``rod speed`` of every joint; ``pump flow``, ``engine power`` and ``tip speed``, with no joint.
     ratio: (M, L) 1 at the limit.
+    torque: (M, n) the torques that the ratios of the torques are those of [N m or N]; 0 if none is limited.
     """
 
     moments: Moments
     limits: tuple[tuple[str, str], ...]
     ratio: Array
+    torque: Array
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -360,12 +374,13 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
                 velocity[row] = np.maximum(velocity[row], np.abs(beside.velocity))
     kinds = ["velocity", "acceleration"]
     columns = [velocity / problem.limits.velocity, np.abs(moments.a) / problem.limits.acceleration]
-    drive = drive_of(problem)
+    drive, torque = drive_of(problem), np.zeros_like(moments.q)
     if drive.limited:
         use = drive.use_along(moments)
         resting = [row for row, beside in ((0, trajectory.before), (-1, trajectory.after)) if beside is None]
-        effort = np.array(use.effort)
-        effort[resting] = np.maximum(effort[resting], drive.static_use(moments.q[resting]))
+        gravity = drive.gravity_torques(moments.q[resting])
+        at_rest = drive.effort_use(moments.q[resting], gravity)
+        torque, effort = _with_greater(use.torque, use.effort, resting, gravity, at_rest)
         kinds.append("torque")
         columns.append(effort)
         if drive.hydraulics is not None:
@@ -385,7 +400,7 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
             speed = _beside(np.where(near[1:] & near[:-1], moved, 0.0))
         limits.append(("tip speed", ""))
         columns.append(speed[:, None] / task.speed)
-    return LimitUsage(moments, tuple(limits), np.hstack(columns))
+    return LimitUsage(moments, tuple(limits), np.hstack(columns), torque)
 
 
 def _usage_of_legs(problem: Problem, trajectory: Trajectory) -> LimitUsage:
@@ -400,5 +415,8 @@ def _usage_of_legs(problem: Problem, trajectory: Trajectory) -> LimitUsage:
     moments = Moments(
         **{name: np.concatenate([v[s] for v, s in zip(values, kept, strict=True)]) for name, values in own.items()}
     )
-    ratio = np.vstack([use.ratio[rows] for use, rows in zip(found, kept, strict=True)])
-    return LimitUsage(moments, found[0].limits, ratio)
+    ratio, torque = (
+        np.vstack([getattr(use, name)[rows] for use, rows in zip(found, kept, strict=True)])
+        for name in ("ratio", "torque")
+    )
+    return LimitUsage(moments, found[0].limits, ratio, torque)
