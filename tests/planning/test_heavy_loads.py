@@ -214,6 +214,25 @@ def test_a_load_is_taken_up_in_a_posture_in_which_it_can_be_held(backhoe: bp.Rob
     assert use_at_rest(backhoe, first, 1500.0) <= 1.01
 
 
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_load_that_is_taken_up_at_a_stop_is_not_there_while_the_arm_slows_down(
+    backhoe: bp.Robot, waits: bool
+) -> None:
+    """The boom is lowered without a load and stops: with it, stopping so hard would take more than the boom has."""
+    payload = payload_for(backhoe, ACROSS, 0.97)
+    above, stop = ACROSS + np.array([0.0, 0.4, 0.0, 0.0]), {"name": "load", "wait": 0.5, "payload": payload}
+    lower = {"name": "lower", "goal": {"joints": posture(backhoe, ACROSS)}}
+    lift = {"name": "lift", "goal": {"joints": posture(backhoe, above)}, "payload": payload}
+    task = {"sequence": [lower, *([stop] if waits else []), lift]}
+    plan = bp.plan(backhoe, scene(backhoe, above, task, 0.0), effort="quick")
+    assert plan.verified, plan.message
+    motion, taken = plan.trajectory, plan.legs[1].first
+    deceleration = motion.corner_accelerations()[taken - 1]
+    stopping = Dynamics(backhoe, payload=payload).torques(ACROSS, np.zeros(4), deceleration)
+    assert stopping[1] > 1.01 * drive_of(plan.problem).torque_limits(ACROSS).positive[1]
+    assert np.all(motion.q[taken] == motion.q[taken - 1])
+
+
 def test_the_torque_in_a_certificate_is_that_of_its_ratio(backhoe: bp.Robot) -> None:
     """Also where the velocity jumps: then the torque of the side on which it is greater counts."""
     payload = payload_for(backhoe, ACROSS, 0.8)

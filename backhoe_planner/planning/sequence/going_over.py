@@ -3,6 +3,9 @@
 The motion may pass the point between two legs at a distance that both tolerate: the tolerance of a goal, or that
 of a path. A joint is accepted only if it is proven: each leg on its own part, and both of them during the time in
 which one has begun while the other still slows down, with the payload, soil, obstacles and conditions of each.
+
+Where the motion stops, the sample between two legs has the mean of the accelerations with which one ends and the other
+begins. Each may be too much with the payload of the other: then the machine rests there for two samples.
 """
 
 from __future__ import annotations
@@ -14,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.machine import BatchKinematics, Kinematics
-from backhoe_planner.motion import Problem, Trajectory, overlap, slow_where_needed
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, overlap, slow_where_needed
 from backhoe_planner.planning.sequence.leg import DoneLeg, join
-from backhoe_planner.proof import certify_motion
+from backhoe_planner.proof import certify_motion, machine_uses
 
 _PART = 0.5  # part of a leg that may overlap with another at either end; chosen
 _SHORTEST = 0.06  # s; chosen: three samples; a shorter overlap gains hardly anything
@@ -36,11 +39,29 @@ def go_over(legs: Sequence[DoneLeg]) -> Trajectory:
         motion = join([leg.motion])  # with at least two samples
         found = None if stops else _without_stop(whole, before, leg, motion, free_from)
         if found is None:
-            time = np.concatenate((whole.time, whole.duration + motion.time[1:]))
-            begins = (*whole.begins, len(whole) - 1)
-            found = Trajectory.from_steps(time, np.vstack((whole.q, motion.q[1:])), begins=begins), whole.duration
+            joined = _after_a_stop(whole, motion)
+            if not stops and not _keeps_limits(joined, before.problem, leg.problem):
+                rested = _after_a_stop(whole, motion, rests=2)
+                joined = rested if _keeps_limits(rested, before.problem, leg.problem) else joined
+            found = joined, float(joined.time[joined.begins[-1]])
         whole, free_from = found
     return whole
+
+
+def _after_a_stop(whole: Trajectory, motion: Trajectory, *, rests: int = 0) -> Trajectory:
+    """The whole motion with one more leg, which begins in the middle of so many samples at rest."""
+    pause = SAMPLE_PERIOD * np.arange(1, rests + 1)
+    begins = whole.duration + rests * SAMPLE_PERIOD
+    time = np.concatenate((whole.time, whole.duration + pause, begins + motion.time[1:]))
+    q = np.vstack((whole.q, *[whole.q[-1:]] * rests, motion.q[1:]))
+    return Trajectory.from_steps(time, q, begins=(*whole.begins, len(whole) - 1 + rests // 2))
+
+
+def _keeps_limits(motion: Trajectory, first: Problem, second: Problem) -> bool:
+    """Whether its last two legs are within the limits of joints and drive, each on its own part of the motion."""
+    begun, meet, last = *motion.begins[-2:], len(motion) - 1
+    uses = machine_uses(first, motion.part(begun, meet)) + machine_uses(second, motion.part(meet, last))
+    return all(use is None or use.kept for use in uses)
 
 
 def _without_stop(
