@@ -1,4 +1,4 @@
-"""A second opinion on a motion: distances without coal, ten times finer in time.
+"""A second opinion on a motion: distances without coal, ten times finer in time, and loads by virtual work.
 
 Every link's collision shape, as read from the URDF itself, is covered with points; each
 obstacle is a signed distance function of this package. The least value over all points
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import self_pairs, self_pieces
+from validation.held_loads import unheld_loads
 from validation.signed_distances import SignedDistance, obstacle_distance
 from validation.surfaces import BRANCHES, Cover, Solid, link_shapes
 
@@ -83,7 +84,7 @@ def refutations(plan: bp.Plan, *, refine: int = 10, itself: bool = True) -> list
         claimed = proven.get(obstacle, -np.inf) - CLAIM_SLACK
         return allowed if obstacle.startswith("self: ") else max(allowed, claimed)
 
-    found = []
+    found = unheld_loads(plan.problem, plan.trajectory) if plan.verified else []
     for least in _search(plan, refine=refine, itself=itself, floor=floor):
         where = f"{least.link} is {least.distance:.5f} m from {least.obstacle} at {least.time:.3f} s"
         claim = proven.get(least.obstacle, -np.inf)

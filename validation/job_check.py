@@ -40,8 +40,8 @@ def leg_refutations(plan: bp.JobPlan, leg: bp.CycleLeg, *, refine: int = 4) -> l
     with tempfile.TemporaryDirectory() as folder:
         scene = _scene_with_maps(plan, leg, Path(folder))
         asked: Any = SimpleNamespace(
-            robot=leg.problem.robot, scene=scene, trajectory=leg.trajectory, certificate=leg.certificate,
-            verified=leg.certificate.verified,
+            robot=leg.problem.robot, scene=scene, problem=leg.problem, trajectory=leg.trajectory,
+            certificate=leg.certificate, verified=leg.certificate.verified,
         )  # fmt: skip
         return refutations(asked, refine=refine)
 

@@ -76,11 +76,15 @@ class RawJoint:
 
 @dataclass(frozen=True, eq=False)
 class RawMachine:
-    """The links with their shapes, and the joints with parents first."""
+    """The links with their shapes, and the joints with parents first.
+
+    `masses` has the mass [kg] of each link that has one, and (3,) its centre in the frame of the link [m].
+    """
 
     root: str
     shapes: dict[str, tuple[RawShape, ...]]
     joints: tuple[RawJoint, ...]
+    masses: dict[str, tuple[float, Vector]]
 
     @cached_property
     def joint_above(self) -> dict[str, RawJoint]:
@@ -144,9 +148,12 @@ def read_raw_urdf(
     """
     robot = ET.parse(file).getroot()
     shapes: dict[str, tuple[RawShape, ...]] = {}
+    masses: dict[str, tuple[float, Vector]] = {}
     for link in robot.findall("link"):
-        collisions = link.findall("collision")
-        shapes[link.attrib["name"]] = tuple(_shape(one, file, find_mesh) for one in collisions)
+        name, inertial = link.attrib["name"], link.find("inertial")
+        shapes[name] = tuple(_shape(one, file, find_mesh) for one in link.findall("collision"))
+        if inertial is not None:
+            masses[name] = float(_child(inertial, "mass").attrib["value"]), _origin(inertial)[1]
     elements = {element.attrib["name"]: element for element in robot.findall("joint")}
     joints = [_joint(element, *_rest(elements, name, hold)) for name, element in elements.items()]
     children = {joint.child for joint in joints}
@@ -157,7 +164,7 @@ def read_raw_urdf(
         below = [joint for joint in joints if joint.parent == name]
         ordered += below
         reached += [joint.child for joint in below]
-    return RawMachine(root, shapes, tuple(ordered))
+    return RawMachine(root, shapes, tuple(ordered), masses)
 
 
 def _rest(elements: Mapping[str, ET.Element], name: str, hold: Mapping[str, float]) -> tuple[float, bool]:
