@@ -230,3 +230,10 @@ def test_only_the_command_line_prints() -> None:
             if prints:
                 wrong.append(f"{file}:{node.lineno}")  # type: ignore[attr-defined]
     assert not wrong, "\n".join(wrong)
+
+
+def test_the_validation_package_lists_its_modules() -> None:
+    folder = ROOT / "validation"
+    text = (folder / "__init__.py").read_text(encoding="utf-8")
+    listed = re.findall(r"^    (\w+) +\S", text, re.MULTILINE)
+    assert sorted(listed) == sorted(["module", *(file.stem for file in folder.glob("*.py") if file.stem != "__init__")])

@@ -19,15 +19,24 @@ and no script.
     signed_distances   exact distances of points to shapes, in plain numpy
     surfaces           points on every link's collision shape
     independent_check  the least distances of a whole motion, and refutations of a certificate
+    held_loads         the torques that hold machine and payload at rest, by virtual work
     telescope          an excavator with a telescopic stick, as URDF text
+    pose_arms          redundant arms for paths of full poses, as URDF text
+    pose_paths         paths of full poses on these arms
     campaigns          one function called for many cases, in several processes; resumes after a kill
     planning_runs      the planner on many sites: rows, tables, comparisons
+    dense_layers       whether a path without a plan has one, by dense samples of the configurations on it
+    sequences          random sequences planned leg by leg and with the next leg in mind
     goal_runs          motions to a goal compared with the best known and with their bound
     ompl_planners      OMPL's own planners on the same problem, with the same check and time
     ompl_runs          the planner compared with these on many sites
+    roboplan_runs      the planner compared with RoboPlan on problems for the Panda
     step_times         one obstacle course on which the steps of the law and the servo are timed
+    scans              the cost of a surveyed site compared with the same site without the survey
+    surveys            the surroundings of a machine as a scan and as a height map
     servo_drives       a servo driven among obstacles that stand, appear and move
     recoveries         a servo that starts inside an obstacle or outside a limit
+    walking_people     the servo among walking people: its steps and its contacts
     raw_urdf           a URDF as written: links, shapes, joints and their placements
     raw_obstacles      the obstacles of a scene as written
     convex_gaps        distances of convex parts, never below the true ones
@@ -38,7 +47,13 @@ and no script.
     certificate_attack the certificate against all of these
     mujoco_model       machine and site as a MuJoCo model
     mujoco_replay      motions replayed in it, and their contacts
+    job_runs           jobs planned with the chosen and with the plain pattern
+    job_check          a second opinion on a job: its motions against the ground at their time, its volumes
+    study_runs         studies that are killed, sent to a cluster or timed
     placements         an obstacle put on a plan while a servo follows it
+    removals           an obstacle put before the end of a plan while a servo follows it, and removed
+    moving_balls       plans with something to keep, followed among balls that fly past
+    undisturbed        plans followed without new obstacles: their duration compared with the planned one
     startup_times      processor time of whole commands
     benches            every benchmark as a function that returns its figures
     bench_figures      these figures in a file, and compared with those of an earlier run
