@@ -37,10 +37,10 @@ def geometry_model(
     return model
 
 
-def _slide_reach(robot: Robot, q: Matrix | None = None) -> Vector:
+def _slide_reach(robot: Robot, q: Matrix | None) -> Vector:
     """(n,) the greatest distance of every slide from its zero [m]; 0 for a hinge.
 
-    It holds within the limits, in the configurations q (..., n) and between them, with the machine's
+    It holds within the limits, in the configurations q (..., n), if given, and between them, with the machine's
     tracking error added.
     """
     limits = robot.limits

@@ -263,7 +263,7 @@ def _keep(
     )  # fmt: skip
 
 
-def path_segment_is_clear(proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float = 0.0) -> bool:
+def path_segment_is_clear(proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float) -> bool:
     """Whether every clearance provably holds, to within `TOUCH`, on a segment along a bucket path.
 
     Such a path may run at exactly its clearance. The parameters are those of `segment_is_clear`.

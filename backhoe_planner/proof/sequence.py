@@ -52,7 +52,7 @@ def _certified(part: LegPart) -> LegCertificate:
     return LegCertificate(part.name, part.first, part.last, part.begins, certify_motion(part.problem, part.motion))
 
 
-def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] = ()) -> Certificate:
+def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str]) -> Certificate:
     """The certificate of a sequence: the tightest figures over its legs.
 
     Parameters

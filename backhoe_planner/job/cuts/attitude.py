@@ -89,7 +89,7 @@ def attitude(
     swing: float,
     path: tuple[Vector, Vector, Vector, Vector, Vector],
     below: Callable[[Array, Array], Array],
-    clears: Callable[[Matrix], Flags] | None = None,
+    clears: Callable[[Matrix], Flags] | None,
 ) -> Attitude | Stuck:
     """The pitch along a path, as close to the wanted one as joints and back allow.
 
@@ -97,7 +97,7 @@ def attitude(
     ----------
     path: (K,) r, z, and wanted, least and greatest pitch; joints and back take priority over these three.
     below: returns the height of the ground (...) [m] at radii (...) while the edge is at radii (...).
-    clears: returns (M,) whether joints (M, n) keep the arm off the ground; not checked by default.
+    clears: returns (M,) whether joints (M, n) keep the arm off the ground; None to leave that unchecked.
     """
     r, z, wanted, least, most = path
     pitches = np.linspace(_FLATTEST_PITCH, _STEEPEST_PITCH, _CANDIDATES)

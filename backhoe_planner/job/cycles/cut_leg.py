@@ -61,7 +61,7 @@ def cut_path(site: Worksite, cut: Cut, ground: Terrain, *, higher: float = 0.0) 
     return CutPath(q, len(down), len(down) + lift)
 
 
-def cut_motion(site: Worksite, cut: Cut, path: CutPath, *, pace: float = 1.0) -> Trajectory:
+def cut_motion(site: Worksite, cut: Cut, path: CutPath, *, pace: float) -> Trajectory:
     """The fastest motion along a cut.
 
     Parameters

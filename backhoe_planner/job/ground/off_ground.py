@@ -198,7 +198,7 @@ def describe(points: Matrix, ground: HeightGrid, off: OffGround) -> str:
     )
 
 
-def part_points(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None = None) -> PartedPoints:
+def part_points(points: Matrix, grid: HeightGrid, roughness: float, known: Matrix | None) -> PartedPoints:
     """Tell what stands on the ground from the ground.
 
     Parameters

@@ -72,8 +72,8 @@ def scanned(
 
 
 def scanned_around(
-    known: Terrain, around: HeightGrid | None, file: Path, *, low: Sequence[float] | Vector | None = None,
-    cell: float | None = None, fill: float = 0.0, noise: float = _NOISE,
+    known: Terrain, around: HeightGrid | None, file: Path, *, low: Sequence[float] | Vector | None,
+    cell: float | None, fill: float = 0.0, noise: float = _NOISE,
     map_origin: Sequence[float] | Vector | None = None, roughness: float = ROUGHNESS,
 ) -> Scanned:  # fmt: skip
     """See `scanned`.

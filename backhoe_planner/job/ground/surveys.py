@@ -37,7 +37,6 @@ from backhoe_planner.job.ground.off_ground import (
     voxels_of,
 )
 from backhoe_planner.job.ground.raised import NOT_RAISED, raised_beyond
-from backhoe_planner.job.schema.work import ROUGHNESS
 from backhoe_planner.site import HeightTable, is_cloud, read_height_grid, read_points
 
 _SPARSE = 0.02  # part of the columns amid seen ground without a point from which a cloud is too sparse for its columns
@@ -65,7 +64,7 @@ class Survey:
 
 def read_survey(
     file: Path, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None,
-    map_origin: Sequence[float] | Vector | None = None, roughness: float = ROUGHNESS,
+    map_origin: Sequence[float] | Vector | None, roughness: float,
 ) -> Survey:  # fmt: skip
     """The ground in a file, see `Terrain.from_file`.
 
@@ -206,9 +205,8 @@ def _further(wide: HeightGrid, grid: HeightGrid) -> HeightGrid | None:
 
 
 def survey_on(
-    file: Path, onto: HeightGrid, *, low: Sequence[float] | Vector | None = None, cell: float | None = None,
-    map_origin: Sequence[float] | Vector | None = None, roughness: float = ROUGHNESS,
-    around: HeightGrid | None = None,
+    file: Path, onto: HeightGrid, *, low: Sequence[float] | Vector | None, cell: float | None,
+    map_origin: Sequence[float] | Vector | None, roughness: float, around: HeightGrid | None,
 ) -> Survey:  # fmt: skip
     """The ground in a file at the nodes of a grid of known heights; NaN where the file does not reach.
 

@@ -137,16 +137,14 @@ class Bed:
         raised = np.clip(apex - start, 0.0, most)
         return replace(self, load=self.load.with_layers(self.load.bank, self.load.loose + raised))
 
-    def load_obstacle(
-        self, name: str, clearance: float, links: Sequence[str] | None = None, *, before: Obstacle | None = None
-    ) -> Obstacle:
+    def load_obstacle(self, name: str, clearance: float, *, before: Obstacle | None = None) -> Obstacle:
         """The load or the bare floor as an obstacle; parameters as in `terrain_obstacle`."""
         if before is not None and check_kind(before, Obstacle, key="before").cluster is not None:
             assert before.cluster is not None
             before = replace(
                 before, cluster=before.cluster.moved_to(self.placement.inverse() * before.cluster.placement)
             )
-        found = terrain_obstacle(self.load, name, clearance, links, before=before)
+        found = terrain_obstacle(self.load, name, clearance, before=before)
         assert found.cluster is not None
         place = self.placement * found.cluster.placement
         spec = found.spec.model_copy(

@@ -58,7 +58,7 @@ class JointBounds:
     change: (n,) by which a velocity can change in a step [rad/s or m/s]; `changes` the same as numbers.
     """
 
-    def __init__(self, limits: JointLimits, dt: float, load: Load | None = None) -> None:
+    def __init__(self, limits: JointLimits, dt: float, load: Load | None) -> None:
         self.limits, self.dt, self._load = limits, dt, load
         self.acceleration = BRAKING * limits.acceleration
         self.braking: tuple[float, ...] = tuple(self.acceleration.tolist())

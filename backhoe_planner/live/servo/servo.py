@@ -414,7 +414,7 @@ class Servo:
         command = self._commands.understand(tip_velocity, joint_velocity, pitch_rate)
         return self._step(command, None, 1.0)
 
-    def step_along_unchecked(self, track: Track, *, pace: float = 1.0) -> ServoState:
+    def step_along_unchecked(self, track: Track, *, pace: float) -> ServoState:
         """Move on by dt along a track that the machine has joined (`Track.is_joined_by`), at a pace of at most `pace`.
 
         The step is taken if braking straight ahead is proven clear, or else if the track is proven clear of the

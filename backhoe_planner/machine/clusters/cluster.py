@@ -176,7 +176,7 @@ class Cluster:
 
     def around_bit_by_bit(
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
-        slack: float, shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None,
+        slack: float, exact: float, shift: Vector | None = None, ground: Part | None = None,
     ) -> Iterator[Around | None]:  # fmt: skip
         """`around` in steps of some 50 to 100 us: yields None after each step, and the result at the end.
 
@@ -300,17 +300,14 @@ class Cluster:
         first = len(cells.half)
         return both, np.concatenate((off[:first], away.take(outer), off[first:]))
 
-    def ground_under(
-        self, piece: Piece, T_world_body: pin.SE3, reach: float, *, shift: Vector | None = None
-    ) -> Part | None:
+    def ground_under(self, piece: Piece, T_world_body: pin.SE3, reach: float) -> Part | None:
         """For a piece of a body that is in the ground: a box that contains the ground under and beside it.
 
         Its face is level with the surface over the piece, so that the direction out is up. From below the surface,
         or within it, single cells would push the piece down or aside. The box contains all cells within `reach` [m]
         that are not above that face. None for a piece that is not in the ground, or if the solid is not ground.
         """
-        shift = _NO_SHIFT if shift is None else shift
-        link = self._local(piece, T_world_body, shift)
+        link = self._local(piece, T_world_body, _NO_SHIFT)
         if self.solid.ground is None:
             return None
         touching = self.solid.measure(link, 0.0)
@@ -347,8 +344,8 @@ class Cluster:
         end = np.maximum(end, at.max(axis=0) + link.radius + more_aside)
         start[0] = plane
         R = self._R @ axes
-        placed = box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t + shift))
-        return Part.of(placed, self._placed(Reading(distance, n, x_link, x_link + distance * n), shift))
+        placed = box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t))
+        return Part.of(placed, self._placed(Reading(distance, n, x_link, x_link + distance * n), _NO_SHIFT))
 
     def inside_of(self, piece: Piece, T_world_body: pin.SE3) -> Part | None:
         """For a piece of a body that is in the ground or in a closed mesh and touches no cell: a box around it.

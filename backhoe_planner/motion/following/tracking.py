@@ -22,7 +22,7 @@ from backhoe_planner.motion.following.orientation import angle_bounds
 from backhoe_planner.motion.following.spot_turns import SpotTurn, largest_spot_turn
 from backhoe_planner.motion.following.tip_stations import TipStations, tip_stations
 from backhoe_planner.motion.following.waypoint_steps import WaypointStep, longest_step
-from backhoe_planner.motion.goals import ANGLE_TOLERANCE, Goal
+from backhoe_planner.motion.goals import Goal
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.motion.trajectory import Trajectory
 
@@ -99,9 +99,9 @@ def track_path(
     trajectory: Trajectory,
     kinematics: Kinematics,
     *,
-    angle_tolerance: float = ANGLE_TOLERANCE,
-    joint_steps: Vector | None = None,
-    may_turn: bool = True,
+    angle_tolerance: float,
+    joint_steps: Vector | None,
+    may_turn: bool,
 ) -> Tracking:
     """How the tip follows `path` at the samples, with a bound on the errors between them.
 

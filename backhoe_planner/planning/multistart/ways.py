@@ -72,7 +72,7 @@ class Ways:
         """Whether any motions are left to be checked."""
         return self._sampling.motions > 0
 
-    def sample(self, which: Sequence[int], turn: int, *, again: int = 0) -> FoundMotion | None:
+    def sample(self, which: Sequence[int], turn: int, *, again: int) -> FoundMotion | None:
         """The motion along a sampled and shortened route to one of the postures `which`; None if none is found.
 
         Parameters
@@ -158,7 +158,7 @@ class Ways:
 
     def through_roadmap(
         self, which: Sequence[int], turn: int, *, nodes: int, longest: float, price: Price, known: Sequence[Matrix],
-        dearest: float = np.inf,
+        dearest: float,
     ) -> Iterator[FoundMotion]:  # fmt: skip
         """Motions along different routes through a roadmap to any of the postures `which`, shortened.
 

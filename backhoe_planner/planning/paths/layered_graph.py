@@ -266,7 +266,7 @@ class LayeredGraph:
         values, _ = self._values(begin)
         return max((layer for layer, value in enumerate(values) if np.isfinite(value).any()), default=-1)
 
-    def reached(self, begin: Vector | None = None) -> list[Matrix]:
+    def reached(self, begin: Vector | None) -> list[Matrix]:
         """By layer, (M, n) the nodes that can be reached."""
         values, _ = self._values(begin)
         return [nodes[np.isfinite(value)] for nodes, value in zip(self.layers, values, strict=True)]

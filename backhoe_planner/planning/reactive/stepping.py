@@ -121,18 +121,18 @@ class Stepper:
         )  # fmt: skip
         return self._kinematics.at_unchecked(self.q), nearby
 
-    def advance(self, wish: Vector, nearby: Nearby, J_tip: Matrix, *, dt: float = STEP) -> bool:
-        """Take the step nearest to `wish` (n,) that is proven clear; False if none is.
+    def advance(self, wish: Vector, nearby: Nearby, J_tip: Matrix) -> bool:
+        """Take the step nearest to `wish` (n,) that is proven clear, a shorter one if need be; False if none is.
 
         Parameters
         ----------
         wish: desired joint velocities [rad/s or m/s].
         nearby: as returned by `look` at the present configuration.
         J_tip: (3, n) position Jacobian of the tip; zeros if only the joints count.
-        dt: time of the step [s]; a shorter one is taken if this step is not clear.
         """
         keep = self.problem.keep
         kept = None if keep is None else Kept(*(each[0] for each in keep.rows_each(self.q[None])))
+        dt = STEP
         for _ in range(_HALVINGS):
             extra: Vector | float = _BUFFER
             # the change of velocity is spread over half of this step and half of the last one, from rest over this step

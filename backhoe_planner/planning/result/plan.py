@@ -307,7 +307,7 @@ def _saving(findings: Findings, metrics: Metrics) -> str:
 
 
 def planned_legs(
-    problem: Problem, trajectory: Trajectory, certificate: Certificate, found: Sequence[Findings] = ()
+    problem: Problem, trajectory: Trajectory, certificate: Certificate, found: Sequence[Findings]
 ) -> tuple[PlannedLeg, ...]:
     """The legs of a plan, from its motion; none if the problem is not a sequence.
 

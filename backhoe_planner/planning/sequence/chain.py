@@ -123,7 +123,7 @@ class Chain:
 
     def __init__(
         self, legs: Sequence[Leg], ready: Sequence[Leg], first: Sequence[DoneLeg], planner: LegPlanner, *, most: int,
-        rough: tuple[Effort, Sequence[DoneLeg]] | None = None, worked: float = np.inf,
+        rough: tuple[Effort, Sequence[DoneLeg]] | None, worked: float,
     ) -> None:  # fmt: skip
         self._legs, self._ready, self._first, self._left = tuple(legs), tuple(ready), tuple(first), most
         self._most = most

@@ -36,7 +36,7 @@ class ClearJoint:
         return f"with {self.name} at {self.then:.2f} {self.unit} instead of {self.now:.4g} it keeps its clearances"
 
 
-def find_clear_joint(world: World, q: Vector, *, time: float = 0.0) -> ClearJoint | None:
+def find_clear_joint(world: World, q: Vector, *, time: float) -> ClearJoint | None:
     """The least move of one joint after which `q` (n,) [rad or m] keeps every clearance and the problem's `keep`.
 
     Moves are counted in hundredths of a radian or metre. None if 1.5 rad or m are not enough for any joint.

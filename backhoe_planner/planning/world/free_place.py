@@ -39,7 +39,7 @@ class FreePlace:
         return f"the nearest free place that was found is {away:.2f} m away, at ({place}), by ({moved}) m"
 
 
-def find_free_place(world: World, target: TipTarget, near: Vector, *, time: float = 0.0) -> FreePlace | None:
+def find_free_place(world: World, target: TipTarget, near: Vector, *, time: float) -> FreePlace | None:
     """The nearest free place for the tip in 26 directions, up to 1.6 m away, with the target's orientation.
 
     Parameters

@@ -114,7 +114,7 @@ def read_parts(package: str, *names: str) -> tuple[str, ...]:
     return tuple(parts.joinpath(name).read_text(encoding="utf-8") for name in names)
 
 
-def _page(title: str, content: Any, *, connect: str, css: str = "", body: str = "", script: str = "") -> str:
+def _page(title: str, content: Any, *, connect: str, css: str, body: str, script: str) -> str:
     own_css, own_body, own_script = read_parts("backhoe_planner.show.page", "page.css", "body.html", "page.js")
     scripts = [f"{_meshcat()}\n", f"{own_script}show({_json_in_script(content)});\n", *([script] if script else [])]
     return html_page(

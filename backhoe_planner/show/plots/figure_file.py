@@ -21,7 +21,7 @@ _FORMATS = (".png", ".svg", ".pdf")
 _RESOLUTION = 150  # dots per inch; chosen, text of 8 points is readable on a screen
 
 
-def new_figure(path: str | os.PathLike[str], width: float, height: float, *, inputs: tuple[Path, ...] = ()) -> Figure:
+def new_figure(path: str | os.PathLike[str], width: float, height: float, *, inputs: tuple[Path, ...]) -> Figure:
     """A figure of this size [inches] that can be written to `path`; call it before anything is computed.
 
     Raises

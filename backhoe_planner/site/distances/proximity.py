@@ -376,7 +376,7 @@ class Proximity:
         q, time = self._checked(q, time)
         return self.is_at_unchecked(q, time=time)
 
-    def is_at_unchecked(self, q: Vector, *, time: float = 0.0) -> bool:
+    def is_at_unchecked(self, q: Vector, *, time: float) -> bool:
         """`is_at` without checks of its arguments, for callers in a loop."""
         return self._known.is_at(q, time)
 
@@ -490,7 +490,7 @@ class Proximity:
         q, time = self._checked(q, time)
         return self.distance_of_unchecked(pair, q, time=time)
 
-    def distance_of_unchecked(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
+    def distance_of_unchecked(self, pair: int, q: Vector, *, time: float) -> float:
         """`distance_of` without checks of its arguments, for callers in a loop."""
         self._place(q, time)
         if pair < self.plain:
@@ -510,7 +510,7 @@ class Proximity:
         q, time = self._checked(q, time)
         return self.distances_of_unchecked(pairs, q, time=time)
 
-    def distances_of_unchecked(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
+    def distances_of_unchecked(self, pairs: Indices, q: Vector, *, time: float) -> Vector:
         """`distances_of` without checks of its arguments, for callers in a loop."""
         self._place(q, time)
         if not len(self.clusters):

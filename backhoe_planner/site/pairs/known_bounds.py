@@ -189,7 +189,7 @@ class KnownBounds:
         every = self._of_every(q, time)
         return every if some is self.every else every[some.pairs]
 
-    def unproven(self, q: Vector, time: float, spare: float, way: Vector | None = None) -> Indices:
+    def unproven(self, q: Vector, time: float, spare: float, way: Vector | None) -> Indices:
         """The pairs that are not known to keep their clearance and `spare` [m] on a motion.
 
         The motion is the straight one from the last measurement to q (n,), which ends at `time` [s]. If bounds on how

@@ -91,7 +91,7 @@ def sources_of(plan: Plan | JobPlan, metrics: Iterable[Metric]) -> dict[str, Any
     return found
 
 
-def find_metric(name: str, kind: Kind, *, objective: str | None = None) -> Metric:
+def find_metric(name: str, kind: Kind, *, objective: str | None) -> Metric:
     """The figure that a key path names.
 
     Parameters
