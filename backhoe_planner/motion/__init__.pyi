@@ -40,6 +40,7 @@ from .problem import build_problem as build_problem
 from .problem import hand_set_gains as hand_set_gains
 from .problem import keep_of as keep_of
 from .smooth_way import SmoothWay as SmoothWay
+from .timing.drive import DRIVE_TOLERANCE as DRIVE_TOLERANCE
 from .timing.drive import Drive as Drive
 from .timing.drive import LimitUsage as LimitUsage
 from .timing.drive import drive_of as drive_of
@@ -49,7 +50,6 @@ from .timing.joining import slow_where_needed as slow_where_needed
 from .timing.moment_slopes import moment_slopes as moment_slopes
 from .timing.time_optimal import Rows as Rows
 from .timing.time_optimal import fastest as fastest
-from .timing.timing import DRIVE_TOLERANCE as DRIVE_TOLERANCE
 from .timing.timing import FastestRun as FastestRun
 from .timing.timing import retime as retime
 from .timing.timing import slow_tip as slow_tip

@@ -141,7 +141,7 @@ def _plan_slowed(
         if not loads or not problem.is_dynamic or outcome.reason:
             break
         over = max(use.ratio for use in loads)
-        if any(use.at_rest > 1.0 for use in loads) or over > _TOO_MUCH:
+        if not all(use.is_held for use in loads) or over > _TOO_MUCH:
             break
         limits = slowed.limits
         slowed = replace(

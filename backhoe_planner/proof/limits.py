@@ -68,6 +68,11 @@ class LimitUse:
         return self.ratio <= self.most
 
     @property
+    def is_held(self) -> bool:
+        """Whether the joint holds the load at rest; of other kinds true."""
+        return self.at_rest <= self.most
+
+    @property
     def percent(self) -> str:
         """The `ratio` in per cent, in words; one that is not kept shows that it is not."""
         percent = 100.0 * self.ratio
@@ -87,7 +92,7 @@ def describe_use(use: LimitUse, when: str) -> str:
         return f"{use.joint} exceeds its {use.kind} limit {when} ({much} it)"
     if use.kind == "torque":
         lacks = "force" if use.unit == "N" else "torque"
-        what = "cannot hold the load" if use.at_rest > use.most else f"has too little {lacks} for the motion"
+        what = f"has too little {lacks} for the motion" if use.is_held else "cannot hold the load"
         torques = (1e-3 * abs(use.needed), 1e-3 * use.available)
         needed, available = beside_bounds(*torques, places=".3g", bounds_as=".3g")
         figures = f"{needed} k{use.unit} of {available} k{use.unit} ({much} it)"

@@ -233,6 +233,21 @@ def test_a_load_that_is_taken_up_at_a_stop_is_not_there_while_the_arm_slows_down
     assert np.all(motion.q[taken] == motion.q[taken - 1])
 
 
+@pytest.mark.parametrize("use", [1.001, 1.009])
+@pytest.mark.parametrize("which", ["lift", "lower"])
+def test_a_load_that_is_held_within_the_tolerance_of_torques_is_moved(
+    backhoe: bp.Robot, which: str, use: float
+) -> None:
+    """Straight up from where it takes most torque, or down to there, as slowly as that needs."""
+    low, high = ACROSS, ACROSS + np.array([0.0, 0.4, 0.0, 0.0])
+    begin, end = (low, high) if which == "lift" else (high, low)
+    task = {"goal": {"joints": posture(backhoe, end)}}
+    plan = bp.plan(backhoe, scene(backhoe, begin, task, payload_for(backhoe, ACROSS, use)), effort="quick")
+    assert plan.verified, plan.message
+    assert plan.certificate.effort is not None
+    assert use <= plan.certificate.effort.ratio + 1e-6
+
+
 def test_the_torque_in_a_certificate_is_that_of_its_ratio(backhoe: bp.Robot) -> None:
     """Also where the velocity jumps: then the torque of the side on which it is greater counts."""
     payload = payload_for(backhoe, ACROSS, 0.8)

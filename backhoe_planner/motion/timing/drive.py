@@ -21,6 +21,8 @@ from backhoe_planner.motion.timing.moment_slopes import moment_slopes
 from backhoe_planner.motion.trajectory import Moments, Trajectory
 from backhoe_planner.site import Ground, Soil, SoilReaction
 
+# the part by which a sampled motion may exceed a limit of the drive: its accelerations are differences of velocities
+DRIVE_TOLERANCE = 0.01
 _BRISK = 1.0  # rad/s or m/s of the fastest joint; chosen: fast enough for the soil's full force
 _REMEMBERED = 4  # latest uses that are kept; chosen: two curves are in use at a time
 _MOST = 1e6  # ratio to a limit: greater ones count as this, so that none is infinite

@@ -22,7 +22,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Array
 from backhoe_planner.machine import Hydraulics, JointLimits
-from backhoe_planner.motion.timing.drive import Drive
+from backhoe_planner.motion.timing.drive import DRIVE_TOLERANCE, Drive
 from backhoe_planner.motion.timing.time_optimal import Rows, TimeLaw, fastest
 
 _SPARE = 0.9998  # part of every limit to be used; chosen: the samples of the motion may use slightly more
@@ -275,8 +275,12 @@ class _Power:
 
 
 def _room(limit: Array, load: Array, part: Array) -> Array:
-    """(N, n) torque that a static load leaves of a limit; a little if it leaves none."""
+    """(N, n) torque that a static load leaves of a limit; a little if it leaves none.
+
+    A load that exceeds the limit within `DRIVE_TOLERANCE` counts as held: the motion has half of what is left of that.
+    """
     with np.errstate(invalid="ignore"):
         left = limit - load
         spared = np.maximum(part[:, None] * limit - load, 0.2 * left)
-    return np.where(left > 0.0, spared, _LEAST_ROOM * np.abs(load))
+        within = 0.5 * (left + DRIVE_TOLERANCE * limit)
+    return np.where(left > 0.0, spared, np.where(within > 0.0, within, _LEAST_ROOM * np.abs(load)))

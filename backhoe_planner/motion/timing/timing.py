@@ -17,7 +17,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, JointLimits, Robot
 from backhoe_planner.motion.path import step_lengths
 from backhoe_planner.motion.smooth_way import SmoothWay
-from backhoe_planner.motion.timing.drive import Drive
+from backhoe_planner.motion.timing.drive import DRIVE_TOLERANCE, Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 
@@ -38,8 +38,6 @@ _LEAST_GRID = 1000  # intervals on a path, about
 _COARSE = 1.05  # times a limit that samples of a curve may show before its grid is made denser; chosen, rarely needed
 _HALVINGS = 6  # of the first and last interval, within which a slow machine may reach its full speed; chosen
 
-# the part by which a sampled motion may exceed a limit of the drive: its accelerations are differences of velocities
-DRIVE_TOLERANCE = 0.01
 _ENOUGH = 0.5 * DRIVE_TOLERANCE
 _ROUNDING = 1e-7  # part of a limit of the joints
 _SPEED_WITHIN = 1e-3  # part of the requested tip speed; chosen, far below the tolerance of a certificate
@@ -464,7 +462,7 @@ def _drive_use(trajectory: Trajectory, drive: Drive) -> float:
         return max(most, worst)
     load = drive.gravity_torques(trajectory.q)
     for static in (load, load + drive.soil_torques(trajectory.q, trajectory.v)):
-        if np.any(drive.effort_use(trajectory.q, static) > 1.0):
+        if np.any(drive.effort_use(trajectory.q, static) > 1.0 + _ENOUGH):
             return most
     return worst
 
