@@ -288,3 +288,22 @@ def test_a_stop_within_the_limits_is_measured_though_the_present_one_ends_beyond
     while not comparison.is_done:
         comparison.go_on(JointState(q, v, q), 0.0)
     assert comparison._margin < -0.2
+
+
+def test_a_stop_from_here_with_room_enough_is_taken_although_the_track_may_be_left_later_too(
+    past_wall: bp.Plan, moments: Moments, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every stop touches something at first; once the machine is slower, the third one from here does not."""
+    servo, _ = on_track(past_wall, min(moments))
+    state, track = JointState(servo.q, servo.v, servo.q), servo._stop
+    assert track is not None
+    choice = StopChoice(servo.robot, servo._check)
+    from_here = choice.stops_from(servo.v)
+    margins = iter([-0.1, *[-0.05] * len(from_here), -0.1, -0.2, -0.2, 0.01, *[-0.2] * 100])
+    monkeypatch.setattr(choice, "least_margin", lambda *_, worst: next(margins))
+    comparison = choice.compare(track)
+    while not comparison.is_done:
+        comparison.go_on(state, servo.time)
+    assert isinstance(comparison.best, JointStop)
+    expected = list(from_here.values())[2].slower(servo.q, servo.v)
+    np.testing.assert_array_equal(comparison.best.slower(servo.q, servo.v), expected)

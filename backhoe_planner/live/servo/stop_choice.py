@@ -14,8 +14,8 @@ down along its track meanwhile, until one is found that leaves more room.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import TypeAlias
+from collections.abc import Generator, Iterator
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from backhoe_planner.live.servo.track import Track
 from backhoe_planner.machine import Robot
 
 Stop: TypeAlias = Track | JointStop
+_Found = TypeVar("_Found")
+_Looking: TypeAlias = Generator[None, None, _Found]  # yields after each look, and returns what it found
 
 _ENOUGH = 0.01  # m of margin beyond which one stop is as good as another; chosen
 _TOUCH = 2e-4  # m below its clearance at which a stop still keeps it; twice what a certificate accepts
@@ -185,40 +187,60 @@ class Comparison:
 
     def _compare(self) -> Iterator[None]:
         """Look at one stop in each iteration: along the track, then off it from here, then off it later."""
-        q, v, _ = self._state
-        begun, measure = self._now, self._choice.least_margin
-        if isinstance(self.best, Track):
-            needed = _FARTHER * self.best.time_to_rest(q, v)
-            self._margin = measure(q, *self.best.ahead(needed), worst=-_TOUCH)
-            if self._margin > -_TOUCH:  # mostly: what turned up is nowhere near
-                self.until = begun + _AGAIN
+        present, begun = self.best, self._now
+        if isinstance(present, Track):
+            if (yield from self._touches_nothing(present)):
                 return
-            yield
-            for key in self._order(self.best):  # one that touches nothing is worth more the sooner it is known
-                other = self._from_here().get(key)
-                if other is None:
-                    continue
-                way, times = other.way_to_rest(self._state.q, self._state.v)
-                if measure(self._state.q, way, times, worst=-_TOUCH) > -_TOUCH:
-                    self.best = other
-                    return
-                yield
-            begun, q, v = self._now, self._state.q, self._state.v
-            track, along = self.best.looking_ahead(), [q]
-            for place in track.places_to_rest(q, v):  # which takes as much work as looking at several stops
-                along.append(place)
-                self._choice.work += _WORK_OF_PLACE
-                yield
-            places, times = np.array(along), track.dt * np.arange(len(along), dtype=float)
+            begun = self._now
+            places, times = yield from self._places_along(present)
         else:
-            places, times = self.best.way_to_rest(q, v)
+            places, times = present.way_to_rest(self._state.q, self._state.v)
         # how near it comes at first does not count: the machine has come that far meanwhile
         here = min(int(times.searchsorted(self._now - begun)), len(times) - 1)
-        self._margin = measure(self._state.q, places[here:], times[here:] - times[here], worst=-math.inf)
+        self._margin = self._choice.least_margin(
+            self._state.q, places[here:], times[here:] - times[here], worst=-math.inf
+        )
         if self._margin >= -_TOUCH:
             return
         yield
-        least_bad: int | None = None  # key of a stop from here: none of them touches nothing
+        least_bad = yield from self._least_bad_from_here()
+        if isinstance(present, Track) and self._margin < _ENOUGH and (yield from self._is_left(places, times, begun)):
+            return
+        if least_bad is not None:
+            self.best = self._from_here().get(least_bad, self.best)
+
+    def _touches_nothing(self, track: Track) -> _Looking[bool]:
+        """Whether the stop along the track touches nothing, or one off it from here does, which is the best then."""
+        q, v, _ = self._state
+        measure = self._choice.least_margin
+        self._margin = measure(q, *track.ahead(_FARTHER * track.time_to_rest(q, v)), worst=-_TOUCH)
+        if self._margin > -_TOUCH:  # mostly: what turned up is nowhere near
+            self.until = self._now + _AGAIN
+            return True
+        yield
+        for key in self._order(track):  # one that touches nothing is worth more the sooner it is known
+            other = self._from_here().get(key)
+            if other is None:
+                continue
+            if measure(self._state.q, *other.way_to_rest(self._state.q, self._state.v), worst=-_TOUCH) > -_TOUCH:
+                self.best = other
+                return True
+            yield
+        return False
+
+    def _places_along(self, track: Track) -> _Looking[tuple[Matrix, Vector]]:
+        """(K, n) where the machine is while it stops along the track, and (K,) when [s]: as much work as many stops."""
+        q, v, _ = self._state
+        ahead, along = track.looking_ahead(), [q]
+        for place in ahead.places_to_rest(q, v):
+            along.append(place)
+            self._choice.work += _WORK_OF_PLACE
+            yield
+        return np.array(along), ahead.dt * np.arange(len(along), dtype=float)
+
+    def _least_bad_from_here(self) -> _Looking[int | None]:
+        """The key of the stop from here that leaves most room; None if none leaves more than the present one."""
+        least_bad = None
         for key in list(self._from_here()):
             other = self._from_here().get(key)
             if other is None:
@@ -226,7 +248,17 @@ class Comparison:
             if self._is_better(*other.way_to_rest(self._state.q, self._state.v)):
                 least_bad = key
             yield
-        for part in _LATER if isinstance(self.best, Track) else ():
+        return least_bad
+
+    def _is_left(self, places: Matrix, times: Vector, begun: float) -> _Looking[bool]:
+        """Whether a stop that leaves the track later leaves more room; then stops are compared anew at that time.
+
+        Parameters
+        ----------
+        places, times: (K, n), (K,) along the track, from the time `begun` on [s].
+        """
+        found = False
+        for part in _LATER:
             row = math.ceil(part * (len(times) - 1))
             if row >= len(times) - 1:
                 break
@@ -238,12 +270,11 @@ class Comparison:
                 after, when = other.way_to_rest(places[row], rates)
                 when = np.append(times[gone:row], times[row] + when) - times[gone]
                 if self._is_better(np.vstack((places[gone:row], after)), when):
-                    self.until, least_bad = begun + float(times[row]), None
+                    self.until, found = begun + float(times[row]), True
                 if self._margin >= _ENOUGH:
-                    return
+                    return found
                 yield
-        if least_bad is not None:
-            self.best = self._from_here().get(least_bad, self.best)
+        return found
 
     def _order(self, track: Track) -> list[int]:
         """Keys of the stops from here, first those that keep what is kept along the track, or break it the least."""
