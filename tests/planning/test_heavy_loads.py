@@ -214,17 +214,21 @@ def test_a_load_is_taken_up_in_a_posture_in_which_it_can_be_held(backhoe: bp.Rob
     assert use_at_rest(backhoe, first, 1500.0) <= 1.01
 
 
-@pytest.mark.parametrize("waits", [False, True])
+@pytest.mark.parametrize(("waits", "moves"), [(False, False), (True, False), (False, True)])
 def test_a_load_that_is_taken_up_at_a_stop_is_not_there_while_the_arm_slows_down(
-    backhoe: bp.Robot, waits: bool
+    backhoe: bp.Robot, waits: bool, moves: bool
 ) -> None:
-    """The boom is lowered without a load and stops: with it, stopping so hard would take more than the boom has."""
+    """The boom is lowered without a load and stops: with it, stopping so hard would take more than the boom has.
+
+    While something moves, each leg is planned for the time at which it begins.
+    """
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [9.0, -9.0, 4.0], "velocity": [0.0, 0.5, 0.0]}
     payload = payload_for(backhoe, ACROSS, 0.97)
     above, stop = ACROSS + np.array([0.0, 0.4, 0.0, 0.0]), {"name": "load", "wait": 0.5, "payload": payload}
     lower = {"name": "lower", "goal": {"joints": posture(backhoe, ACROSS)}}
     lift = {"name": "lift", "goal": {"joints": posture(backhoe, above)}, "payload": payload}
     task = {"sequence": [lower, *([stop] if waits else []), lift]}
-    plan = bp.plan(backhoe, scene(backhoe, above, task, 0.0), effort="quick")
+    plan = bp.plan(backhoe, scene(backhoe, above, task, 0.0, obstacles=[ball] if moves else []), effort="quick")
     assert plan.verified, plan.message
     motion, taken = plan.trajectory, plan.legs[1].first
     deceleration = motion.corner_accelerations()[taken - 1]

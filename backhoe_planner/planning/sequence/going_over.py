@@ -25,13 +25,15 @@ _PART = 0.5  # part of a leg that may overlap with another at either end; chosen
 _SHORTEST = 0.06  # s; chosen: three samples; a shorter overlap gains hardly anything
 _HALVINGS = 7  # of the overlap time of two legs; chosen: finds it to a hundredth
 _SHARES = (1.0, 0.6, 0.3)  # of the longest time that the tolerance allows, tried in turn; chosen
+_RESTS = 2  # samples, so that neither acceleration counts at the sample in their middle
 _SPARE = 0.9  # part of a tolerance that is used; chosen: no sample is exactly where the tip is nearest
 
 
 def go_over(legs: Sequence[DoneLeg]) -> Trajectory:
     """The whole motion of planned legs, with a stop between two of them only if it is needed.
 
-    If anything moves or appears, every leg stops, because it was planned for the time at which it begins.
+    If anything moves or appears, every leg stops, because it was planned for the time at which it begins: the machine
+    rests before a leg that was planned for later.
     """
     stops = any(leg.problem.is_dynamic for leg in legs)
     whole, free_from = replace(join([legs[0].motion]), begins=(0,)), 0.0
@@ -39,16 +41,24 @@ def go_over(legs: Sequence[DoneLeg]) -> Trajectory:
         motion = join([leg.motion])  # with at least two samples
         found = None if stops else _without_stop(whole, before, leg, motion, free_from)
         if found is None:
-            joined = _after_a_stop(whole, motion)
-            if not stops and not _keeps_limits(joined, before.problem, leg.problem):
-                rested = _after_a_stop(whole, motion, rests=2)
-                joined = rested if _keeps_limits(rested, before.problem, leg.problem) else joined
+            planned = leg.problem.begins - before.problem.begins - before.motion.duration  # s between them
+            rests = (_RESTS if planned > 0.5 * SAMPLE_PERIOD else 0) if stops else rests_between(before, leg)
+            joined = _after_a_stop(whole, motion, rests)
             found = joined, float(joined.time[joined.begins[-1]])
         whole, free_from = found
     return whole
 
 
-def _after_a_stop(whole: Trajectory, motion: Trajectory, *, rests: int = 0) -> Trajectory:
+def rests_between(before: DoneLeg, leg: DoneLeg) -> int:
+    """For how many samples the machine has to rest if it stops between two legs, to keep the limits; 0 if in vain."""
+    first, second = replace(join([before.motion]), begins=(0,)), join([leg.motion])
+    for rests in (0, _RESTS):
+        if _keeps_limits(_after_a_stop(first, second, rests), before.problem, leg.problem):
+            return rests
+    return 0
+
+
+def _after_a_stop(whole: Trajectory, motion: Trajectory, rests: int) -> Trajectory:
     """The whole motion with one more leg, which begins in the middle of so many samples at rest."""
     pause = SAMPLE_PERIOD * np.arange(1, rests + 1)
     begins = whole.duration + rests * SAMPLE_PERIOD

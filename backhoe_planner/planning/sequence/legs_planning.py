@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, check_kind
-from backhoe_planner.motion import Problem, Trajectory, motion_cost
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, motion_cost
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort, Work
 from backhoe_planner.planning.sequence.chain import Chain
-from backhoe_planner.planning.sequence.going_over import go_over
+from backhoe_planner.planning.sequence.going_over import go_over, rests_between
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
 from backhoe_planner.planning.sequence.next_leg import ready_for_next
@@ -142,19 +142,29 @@ def _ending_exactly(leg: Leg) -> Leg:
 def _one_by_one(legs: tuple[Leg, ...], ready: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
     """The legs planned one by one, until one fails; each to an end from `ready_for_next`, if it can."""
     done: list[DoneLeg] = []
-    time = 0.0
+    time, stops = 0.0, any(leg.problem.is_dynamic for leg in legs)
     for leg, asked in zip(legs, ready, strict=True):
-        start = done[-1].motion.q[-1] if done else None
-        found = None if asked is leg else planner.plan(leg, start, time=time, asked=asked)
-        done.append(planner.plan(leg, start, time=time) if found is None or found.failed else found)
-        time += done[-1].motion.duration
-        if done[-1].failed:
+        found = _next(leg, asked, done, planner, time)
+        rests = SAMPLE_PERIOD * rests_between(done[-1], found) if stops and done and not found.failed else 0.0
+        if rests > 0.0:
+            rested = _next(leg, asked, done, planner, time + rests)
+            found, time = (found, time) if rested.failed else (rested, time + rests)
+        done.append(found)
+        time += found.motion.duration
+        if found.failed:
             break
     if done[-1].failed:
         later = [words for leg in legs[len(done) :] if (words := _impossible(leg, done[-1].motion.q[-1], planner))]
         outcome = done[-1].outcome
         done[-1] = replace(done[-1], outcome=replace(outcome, message="; ".join([outcome.message, *later])))
     return done
+
+
+def _next(leg: Leg, asked: Leg, done: Sequence[DoneLeg], planner: LegPlanner, time: float) -> DoneLeg:
+    """One more leg, begun at `time` [s] where the last one ended; to an end from `ready_for_next`, if it can."""
+    start = done[-1].motion.q[-1] if done else None
+    found = None if asked is leg else planner.plan(leg, start, time=time, asked=asked)
+    return planner.plan(leg, start, time=time) if found is None or found.failed else found
 
 
 def _impossible(leg: Leg, near: Vector, planner: LegPlanner) -> str:
