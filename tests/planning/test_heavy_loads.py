@@ -237,6 +237,19 @@ def test_a_load_that_is_taken_up_at_a_stop_is_not_there_while_the_arm_slows_down
     assert np.all(motion.q[taken] == motion.q[taken - 1])
 
 
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_leg_ends_where_the_load_that_follows_can_be_held(backhoe: bp.Robot, waits: bool) -> None:
+    """With the tip high up, the lever of the load differs by a third; the nearest postures there cannot hold it."""
+    load = {"name": "load", "wait": 0.5, "payload": 1700.0} if waits else {"name": "load", "payload": 1700.0}
+    load |= {} if waits else {"goal": {"joints": posture(backhoe, NEAR)}}
+    task = {"sequence": [{"name": "out", "goal": {"position": [4.2, 0.0, 2.8]}}, load]}
+    alone = bp.plan(backhoe, scene(backhoe, NEAR, {"goal": {"position": [4.2, 0.0, 2.8]}}, 0.0), effort="quick")
+    assert use_at_rest(backhoe, alone.trajectory.q[-1], 1700.0) > 1.01
+    plan = bp.plan(backhoe, scene(backhoe, NEAR, task, 0.0), effort="quick")
+    assert plan.verified, plan.message
+    assert use_at_rest(backhoe, plan.trajectory.q[plan.legs[0].last], 1700.0) < 1.01
+
+
 @pytest.mark.parametrize("use", [1.001, 1.009])
 @pytest.mark.parametrize("which", ["lift", "lower"])
 def test_a_load_that_is_held_within_the_tolerance_of_torques_is_moved(

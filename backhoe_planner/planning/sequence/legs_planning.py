@@ -12,13 +12,14 @@ from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, motion_cost
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
-from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort, Work
+from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort, OutOfTime, Work
 from backhoe_planner.planning.sequence.chain import Chain
 from backhoe_planner.planning.sequence.going_over import go_over, rests_between
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
-from backhoe_planner.planning.sequence.next_leg import ready_for_next
+from backhoe_planner.planning.sequence.next_leg import ending_where_held, ready_for_next
 from backhoe_planner.planning.sequence.reach import first_out_of_reach
+from backhoe_planner.planning.world.holding import holds_load
 from backhoe_planner.planning.world.outcome import bad_posture
 from backhoe_planner.planning.world.world import World
 from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
@@ -116,7 +117,24 @@ def plan_legs(
             replace(leg, outcome=leg.outcome.adding(left_out=known[index])) if index < len(known) else leg
             for index, leg in enumerate(done)
         ]
-    return _outcome(legs, done, tried)
+    return _outcome(legs, _held_again(legs, ready, done, planner), tried)
+
+
+def _held_again(
+    legs: tuple[Leg, ...], ready: tuple[Leg, ...], done: list[DoneLeg], planner: LegPlanner
+) -> list[DoneLeg]:
+    """The same legs; if a payload cannot be held where its leg begins, legs that end where it can, if there are any."""
+    failed = next((leg for leg in done if leg.failed), None)
+    if failed is None or failed is done[0] or holds_load(failed.problem, failed.motion.q[:1]).all():
+        return done
+    try:
+        asked = ending_where_held(legs, ready, done[0].motion.q[0], planner)
+    except OutOfTime:
+        return done
+    if all(one is other for one, other in zip(asked, ready, strict=True)):
+        return done
+    again = _one_by_one(legs, asked, planner)
+    return done if any(leg.failed for leg in again) else again
 
 
 def _rough(effort: Effort) -> Effort | None:

@@ -1,7 +1,8 @@
 """What a leg needs at its end so that the leg after it can begin there.
 
 A leg ends in any posture on its goal. If the next one keeps an orientation, a random one of them is hardly ever within
-it, so the goal is narrowed by what the next leg keeps, as far as a goal can express it.
+it, so the goal is narrowed by what the next leg keeps, as far as a goal can express it. In which postures a payload can
+be held no goal can express: where that was missed, single postures are asked for.
 """
 
 from __future__ import annotations
@@ -9,8 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from backhoe_planner.motion import Goal, Keep
-from backhoe_planner.planning.sequence.leg import Leg
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.motion import Goal, Keep, drive_of
+from backhoe_planner.planning.goals.goal_postures import find_goal_postures
+from backhoe_planner.planning.search.effort import Work
+from backhoe_planner.planning.sequence.leg import Leg, posture_goal
+from backhoe_planner.planning.sequence.leg_planning import LegPlanner
+from backhoe_planner.planning.world.holding import holds_load
+from backhoe_planner.planning.world.outcome import Outcome
+from backhoe_planner.planning.world.world import World
+
+_MOST_POSTURES = 8  # that a leg may end in where payloads narrow the choice, at most; chosen
 
 
 def ready_for_next(legs: Sequence[Leg]) -> tuple[Leg, ...]:
@@ -23,6 +35,46 @@ def ready_for_next(legs: Sequence[Leg]) -> tuple[Leg, ...]:
         else:
             found.append(leg)
     return tuple(found[::-1])
+
+
+def ending_where_held(legs: Sequence[Leg], ready: Sequence[Leg], start: Vector, planner: LegPlanner) -> tuple[Leg, ...]:
+    """The `ready` legs, with postures as goals where payloads up to the next motion can be held in some of them only.
+
+    These are the half of them in which the joints have most room, as a motion must also begin there.
+
+    Parameters
+    ----------
+    start: (n,) of the first leg [rad or m].
+
+    Raises
+    ------
+    OutOfTime: the budget is used up.
+    """
+    found, near = [], start
+    for index, asked in enumerate(ready):
+        problem, after = asked.problem, _up_to_next_motion(legs[index + 1 :])
+        if problem.goals and problem.wait is None and asked.motion is None and after:
+            planner.brake.check()
+            world = World(problem.beginning(near), seed=planner.seed, work=Work(planner.effort, planner.brake))
+            postures = find_goal_postures(world, problem.goals, near=near, time=0.0)
+            if not isinstance(postures, Outcome):
+                q = np.array(postures.clear)
+                held = np.all([holds_load(leg.problem, q) for leg in after], axis=0)
+                use = np.max([drive_of(leg.problem).static_use(q).max(axis=1) for leg in after], axis=0)
+                roomiest = q[np.argsort(use, kind="stable")]
+                if held.any() and not held.all():
+                    count = -(-int(np.count_nonzero(held)) // 2)
+                    goals = tuple(posture_goal(problem, one) for one in roomiest[: min(count, _MOST_POSTURES)])
+                    asked = replace(asked, problem=replace(problem, goals=goals))
+                near = roomiest[0]
+        found.append(asked)
+    return tuple(found)
+
+
+def _up_to_next_motion(legs: Sequence[Leg]) -> list[Leg]:
+    """The first of the legs that moves, and all before it."""
+    moving = next((index for index, leg in enumerate(legs) if leg.problem.wait is None), len(legs))
+    return list(legs[: moving + 1])
 
 
 def _ready_for(leg: Leg, after: Leg | None) -> Leg:
