@@ -69,12 +69,12 @@ def test_if_refining_pays_the_cheapest_other_motions_are_refined_too(
 @pytest.mark.parametrize(
     ("millimetres", "begun"),
     [
-        (0.9, [20, 28, 36, 36, 36]),
-        (1.3, [20, 28, 36, 36, 36]),  # it costs less than a lift by a millimetre as soon as it is refined
-        (3.0, [20, 20, 28, 36, 36, 36]),  # another motion, which costs a tenth more, after the first
+        (0.9, [20, 28]),
+        (1.3, [20, 28]),  # it costs less than a lift by a millimetre as soon as it is refined
+        (3.0, [20, 20, 28, 36, 36]),  # another motion, which costs a tenth more, after the first
     ],
 )
-def test_beside_a_motion_that_costs_less_than_a_lift_by_a_millimetre_no_other_is_refined(
+def test_a_motion_that_costs_less_than_a_lift_by_a_millimetre_is_refined_twice_and_no_other_beside_it(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, millimetres: float, begun: list[int]
 ) -> None:
     """Each time 30 % is gained."""
@@ -123,7 +123,7 @@ def test_a_motion_that_costs_nothing_is_not_refined(backhoe: bp.Robot, monkeypat
     assert 0.0 <= plan.metrics.energy["work"] < 1e-9
 
 
-@pytest.mark.parametrize(("millimetres", "enough"), [(0.9, 0.004), (1.1, 0.001)])
+@pytest.mark.parametrize(("millimetres", "enough"), [(0.9, 0.01), (1.1, 0.001)])
 def test_a_motion_that_costs_little_is_not_refined_to_the_last(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, millimetres: float, enough: float
 ) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import Trajectory, motion_cost, time_evenly
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import ENOUGH
+from backhoe_planner.planning.descent.descent import ENOUGH, ENOUGH_ROUGH
 from backhoe_planner.planning.multistart.cost_descents import CostDescents
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.multistart.lift import is_frugal, lift_of, little_cost
@@ -31,9 +31,6 @@ _FINER_PIECES, _MOST_FINE = (20, 28, 36, 36, 36), 252
 # mostly gain nothing, and if it gains more, they may gain a third
 _MUCH_GAIN = (0.01, 0.05, 0.1, 0.1)
 _MUCH_GAIN_FRUGAL = (0.04, 0.05, 0.1, 0.1)  # the same for frugal searches; measured: the next gains a quarter of a gain
-# `Options.enough` for a motion that costs little; chosen: such motions of the backhoe and the telescope then
-# cost as much as with 0.001, those of the Panda 1.1 times as much, in 0.6 to 0.8 of the time
-_ENOUGH_OF_LITTLE = 0.004
 _FINER = 8  # times more fine rounds for another cost than the time; chosen
 # other motions that are refined if refining pays, and up to how many times the cost of the best; chosen
 _OTHERS_REFINED, _NEARLY_AS_CHEAP = 2, 1.2
@@ -120,7 +117,8 @@ class Refining:
         """Refine the best motion on curves of more pieces in turn.
 
         If the first of these makes it clearly cheaper, motions that cost little more are refined too: the costs before
-        say little about those after. If its cost counts as little, only the best is refined, and not to the last.
+        say little about those after. If its cost counts as little, only the best is refined, at most twice and not to
+        the last.
         """
         best = self._best()
         self._coarse = best.cost
@@ -133,7 +131,10 @@ class Refining:
             best = self._best()
             if best.cost > (1.0 - self._much[turn]) * before.cost:
                 return
-            if turn == 0 and best.cost > self._little and not all(self._refine(other, pieces) for other in others):
+            is_little = best.cost <= self._little
+            if turn > 0 and is_little:
+                return
+            if turn == 0 and not is_little and not all(self._refine(other, pieces) for other in others):
                 return
 
     def _hop(self) -> None:
@@ -223,6 +224,7 @@ class Refining:
             curve = JointCurve.fitted(found.motion, FINE_PIECES, limits)
         duration = min(found.motion.duration, descents.incumbent.longest)
         rounds = FINE_ROUNDS * _FINER * descents.more
-        enough = _ENOUGH_OF_LITTLE if found.cost <= self._little else ENOUGH
+        # small gains of a cost that counts as little take half of the time of many plans
+        enough = ENOUGH_ROUGH if found.cost <= self._little else ENOUGH
         descents.descend_finely(found, curve.finer(pieces, limits.velocity), duration, rounds, enough=enough)
         return True
