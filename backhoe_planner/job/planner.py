@@ -14,6 +14,7 @@ from backhoe_planner.job.checked_job import CheckedJob, check_whole_job
 from backhoe_planner.job.cuts.cut import NoCut
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
 from backhoe_planner.job.cycles.patterns import WALLS, NextCut, next_cut, patterns_to_compare
+from backhoe_planner.job.cycles.transfers import Transfer
 from backhoe_planner.job.estimates import compared_patterns
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.job_estimate import JobEstimate
@@ -198,16 +199,16 @@ class _Run:
         """The plan of the whole job."""
         planner = CyclePlanner(self._site, self._work.dump, effort=self._effort, seed=self._seed)
         state, start = self._work.dump.first(self._site.ground, self._work.grounds), self._site.problem.start_q
+        cycles = [] if resume is None else list(resume.cycles)
+        # before the patterns are compared, which takes longer
+        if start is not None and not cycles and (stay := planner.stay_in_something(start, state)) is not None:
+            raise self._bad_start(stay)
         if resume is None:
-            # before the patterns are compared, which takes longer
-            if start is not None and (failed := planner.stands_in(start, state)) is not None:
-                raise self._bad_start(failed)
             self._compared = compared_patterns(self._work, self._patterns, self._known)
         else:
             self._compared = resume.compared
         own = next(one for one in self._compared if one.chosen)
         pattern = next(one for one in self._patterns if one.name == own.name)
-        cycles = [] if resume is None else list(resume.cycles)
         refusals = _Refusals()
         ended: JobReason | None = None
         for cycle in cycles:
@@ -225,8 +226,6 @@ class _Run:
             at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else start
             made = planner.plan(len(cycles) + 1, at, state, found)
             if isinstance(made, Failed):
-                if made.stands_in and not cycles:
-                    raise self._bad_start(made)
                 refusals.add_failed(found, lane, made, len(cycles) + 1)
                 ended = self._end_after(made, refusals, begun=bool(cycles))
             elif made[0].bank + made[0].taken < _NO_PROGRESS:
@@ -239,11 +238,11 @@ class _Run:
                 self._tell(watch, cycles, own.cycles)
         return self._concluded(cycles, ended or "", refusals)
 
-    def _bad_start(self, failed: Failed) -> SceneError:
+    def _bad_start(self, stay: Transfer) -> SceneError:
         """The error for a start from which no motion can begin."""
         return SceneError(
-            f"stands in {failed.stands_in} or too near to it", file=self._site.job.file, key="start",
-            found=failed.words,
+            f"stands in {stay.stands_in} or too near to it", file=self._site.job.file, key="start",
+            found=stay.why,
             allowed=f"a posture that keeps {self._site.problem.scene.clearance:g} m from ground and obstacles",
         )  # fmt: skip
 

@@ -15,7 +15,7 @@ from backhoe_planner.job.cycles.cut_leg import CutPath, cut_motion, cut_path, cu
 from backhoe_planner.job.cycles.dump_rules import broken_dump_rules
 from backhoe_planner.job.cycles.dumping import Dumping, DumpSite, NoDump, SiteState, ground_obstacles
 from backhoe_planner.job.cycles.patterns import NextCut, shallower
-from backhoe_planner.job.cycles.transfers import Transfers, level_band, make_leg
+from backhoe_planner.job.cycles.transfers import Transfer, Transfers, level_band, make_leg
 from backhoe_planner.job.ground.heaps import poured
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle, CycleLeg, Digging, LegName
@@ -42,12 +42,10 @@ class Failed:
         cuts, or ``limits`` if the cut exceeds what the machine can do; otherwise ``approach``, ``swing``, ``dump``;
         ``full`` if no more soil can be dumped, and ``unreachable`` if the bucket cannot be emptied anywhere.
     words: the same in a sentence.
-    stands_in: what the machine is in or too near to where the ``approach`` starts, if that is why; empty otherwise.
     """
 
     part: FailedPart
     words: str
-    stands_in: str = ""
 
 
 class CyclePlanner:
@@ -73,10 +71,10 @@ class CyclePlanner:
         """The site before the first cycle."""
         return self._dump.first(ground, ground_obstacles(self._site, ground))
 
-    def stands_in(self, start: Vector, state: SiteState) -> Failed | None:
-        """Why no motion can begin at `start` (n,) if the machine is in something or too near to it there, or None."""
+    def stay_in_something(self, start: Vector, state: SiteState) -> Transfer | None:
+        """The stay at `start` (n,) if the machine is in something or too near to it there, so that no motion begins."""
         stay = self._transfers.to("approach", start, [start], ground=state.obstacles, payload=0.0)
-        return Failed("approach", stay.why, stay.stands_in) if stay.stands_in else None
+        return stay if stay.stands_in else None
 
     def after_cut(self, ground: Terrain, before: SiteState) -> SiteState:
         """The site with the ground after a cut."""
@@ -143,7 +141,7 @@ class CyclePlanner:
             if start is not None:
                 approach = self._transfers.to("approach", start, [path.q[0]], ground=state.obstacles, payload=0.0)
                 if approach.leg is None:
-                    failed = Failed("approach", approach.why, approach.stands_in)
+                    failed = Failed("approach", approach.why)
                     continue
                 legs.append(approach.leg)
             found = self._after(number, [*legs, cut_leg], path, state, chosen)

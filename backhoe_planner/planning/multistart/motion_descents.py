@@ -116,7 +116,8 @@ class MotionDescents(ABC):
         """
         curve, duration, goal = start.curve, start.duration, start.goal
         rounds, box, spare, density = self._most_rounds, FIRST_BOX, SPARE, 2
-        looks, enough = () if hops else self._looks, ENOUGH_ROUGH if self._effort.rough else ENOUGH
+        looks = () if hops else self._looks
+        enough = ENOUGH_ROUGH if self._effort.rough else ENOUGH
         least = self._least_worth(curve, goal)
 
         def is_over(here: Timed, rounds: int) -> bool:
