@@ -62,6 +62,27 @@ def test_a_sphere_that_a_ball_passes_between_two_samples_is_found(tmp_path: Path
         assert motion_is_clear(proximity, np.array([0.0, DURATION]), q) is clear
 
 
+@pytest.mark.parametrize("length", [2, 9, 17, 18, 40, 700])
+def test_a_ball_that_goes_out_and_back_at_any_one_sample_is_seen(tmp_path: Path, length: int) -> None:
+    """The gap is 0.26 m at rest, and 0.01 m or 0.021 m at the one sample."""
+    proximity = past(tmp_path, clearance=0.02, position=[0.3, 0.0, 0.0])
+    moments = np.linspace(0.0, DURATION, length)
+    for out in {0, 1, length // 2, *range(max(length - 10, 0), length)}:
+        for reach, clear in ((0.25, False), (0.239, True)):
+            q = np.zeros((length, 1))
+            q[out] = reach
+            assert motion_is_clear(proximity, moments, q) is clear
+
+
+def test_an_obstacle_that_appears_counts_from_the_sample_before_on_any_long_motion(tmp_path: Path) -> None:
+    """The ball is at the sphere's place until 4 s, and 0.5 m away from then on, in 100 samples of 0.1 s."""
+    moments = np.linspace(0.0, 9.9, 100)
+    q = np.where(moments < 4.0, 0.3, -0.2)[:, None]
+    for appears, clear in ((3.95, False), (4.05, True), (9.0, True), (0.0, False)):
+        proximity = past(tmp_path, clearance=0.01, position=[0.3, 0.0, 0.0], appears_at=appears)
+        assert motion_is_clear(proximity, moments, q) is clear
+
+
 @pytest.mark.parametrize("meets", [2.3, 7.7])
 def test_a_ball_and_a_sphere_that_cross_are_checked_on_one_clock(tmp_path: Path, meets: float) -> None:
     """The ball is at 0.2 t - 1 m; the sphere is there at the moment of the meeting, or 2 s later."""
