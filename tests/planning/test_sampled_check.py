@@ -97,7 +97,7 @@ def test_of_neighbouring_configurations_the_first_is_kept() -> None:
 def test_the_distinct_configurations_are_those_of_the_definition() -> None:
     """One after the other, each compared with all that were kept before; some are exactly as far apart as that."""
     rng = np.random.default_rng(8)
-    for count, known, n in ((60, 0, 3), (60, 20, 1), (200, 30, 7)):
+    for count, known, n in ((60, 0, 3), (60, 20, 1), (200, 30, 7), (300, 0, 3), (300, 70, 4), (500, 10, 2)):
         q, before = (np.asarray(0.1 * rng.integers(0, 4, size=(size, n)), dtype=float) for size in (count, known))
         kept, expected = list(before), []
         for row, one in enumerate(q):

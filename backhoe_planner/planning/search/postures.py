@@ -24,6 +24,8 @@ POSTURE_SPARE = 0.003  # m beyond the clearance; chosen: more than the 2 mm kept
 _ITERATIONS = 20  # of the inverse kinematics from one starting point; chosen, one in fifty needs more
 _ITERATIONS_HURRIED = 14  # the same in a hurry; chosen among 12 to 20: some ends are then missed
 _SAME = 0.05  # rad or m: chosen, configurations nearer than this count as one
+# while more than so many configurations are left, others are looked for around each of so many of them first; chosen
+_FEW, _HEADS = 64, 24
 _ROUNDED = 1.0 + 1e-6  # times a distance: rounding then hides no neighbour
 
 
@@ -119,9 +121,17 @@ def find_distinct(q: Matrix, within: float, known: Matrix | None = None) -> list
     """
     others = q if known is None else np.vstack((known, q))
     first = len(others) - len(q)
-    taken = np.ones(len(others), dtype=bool)
-    for row, before in _near_before(others, first, within):
-        taken[row] = not taken[before].any()
+    taken, left = np.ones(len(others), dtype=bool), np.arange(len(others))
+    # mostly many are near the same few, and pairs of these are far more than what is left without them
+    for _ in range(_HEADS):
+        if len(left) <= _FEW:
+            break
+        head, left = left[0], left[1:]
+        near = (np.abs(others[left] - others[head]) <= within).all(axis=1) & (left >= first)
+        taken[left[near]] = False
+        left = left[~near]
+    for row, before in _near_before(others[left], int(np.count_nonzero(left < first)), within):
+        taken[left[row]] = not taken[left[before]].any()
     return np.flatnonzero(taken[first:]).tolist()
 
 
