@@ -388,9 +388,6 @@ def calls() -> dict[str, Call]:
             gains=(None, optional(THING)), directionality=(True, FLAG), lists=False,
         ),
         "CompletedLaw.wish": call(lambda **keys: law().wish(**keys).v, **rows),
-        "CompletedLaw.wish_on_null_line": call(
-            law().wish_on_null_line, q=q4, **{name: pair for name, pair in rows.items() if name != "at"}
-        ),
         "CompletedLaw.near_limit": call(law().near_limit, q=q4, v=v4),
         "CriticalRows": call(
             lambda **keys: law().wish(at(), J, xdot, bp.CriticalRows(**keys)).v, margin=(np.full(2, 0.1), vector(2)),

@@ -12,6 +12,7 @@ from backhoe_planner.arrays import as_count
 from backhoe_planner.errors import InputError, SceneError, check_callable, check_kind
 from backhoe_planner.job.checked_job import CheckedJob, check_whole_job
 from backhoe_planner.job.cuts.cut import NoCut
+from backhoe_planner.job.cuts.digger import RESERVE
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
 from backhoe_planner.job.cycles.patterns import WALLS, NextCut, next_cut, patterns_to_compare
 from backhoe_planner.job.cycles.transfers import Transfer
@@ -157,14 +158,11 @@ class _Refusals:
         self.note = note
         self._left_out[lane] = min(self._left_out.get(lane, np.inf), float(found.cut.r[0])) - _BESIDE
 
-    def add_empty(self, found: NextCut, lane: int, number: int, *, allowed: float) -> None:
-        """Refuse a cut that takes nothing at the cycle of that number.
-
-        `allowed`: the part of what a cylinder can hold that a cut may use.
-        """
+    def add_empty(self, found: NextCut, lane: int, number: int) -> None:
+        """Refuse a cut that takes nothing at the cycle of that number."""
         self.add(found, lane, f"the cut at cycle {number} takes nothing any more")
         holding = found.cut.holding
-        if holding.ratio > _HELD_BACK * allowed:
+        if holding.ratio > _HELD_BACK * (1.0 - RESERVE):
             depth = 100.0 * found.cut.greatest_depth
             self.too_hard = f"this soil cannot be cut deeper than {depth:.0f} cm there: {holding.describe()}"
 
@@ -229,7 +227,7 @@ class _Run:
                 refusals.add_failed(found, lane, made, len(cycles) + 1)
                 ended = self._end_after(made, refusals, begun=bool(cycles))
             elif made[0].bank + made[0].taken < _NO_PROGRESS:
-                refusals.add_empty(found, lane, made[0].number, allowed=1.0 - self._site.digger.margin)
+                refusals.add_empty(found, lane, made[0].number)
                 ended = "" if refusals.too_many else None
             else:
                 cycle, state = made

@@ -141,7 +141,7 @@ class NearRows:
         """
         shared = self._G.shape[1]
         while True:
-            some = self._with(program, self._near)
+            some = self._with_near(program)
             if coupled and len(program.f) >= _MANY:
                 x = solve_in_unit_metric(some, coupled, most_iterations=most_iterations, start=start)
             else:
@@ -155,23 +155,18 @@ class NearRows:
             self._near |= missed
             start = x
 
-    def all_with(self, program: QuadraticProgram) -> QuadraticProgram:
-        """The program with all shared rows and its own."""
-        return self._with(program, np.ones(len(self._h), dtype=bool))
-
-    def _with(self, program: QuadraticProgram, which: Flags) -> QuadraticProgram:
-        """The program with some of the shared rows; they do not depend on the variables that only it has."""
+    def _with_near(self, program: QuadraticProgram) -> QuadraticProgram:
+        """The program with the near ones of the shared rows; they do not depend on the variables that only it has."""
         more = len(program.f) - self._G.shape[1]
-        rows = [*self._equal, Rows("near", self._G[which], self._h[which], Kind.HARD)]
+        rows = [*self._equal, Rows("near", self._G[self._near], self._h[self._near], Kind.HARD)]
         if more:
             rows = [row._replace(G=np.hstack((row.G, np.zeros((len(row.h), more))))) for row in rows]
         return program._replace(rows=(*rows, *program.rows))
 
 
-def solve_with_near_rows(program: QuadraticProgram, *, most_iterations: int, coupled: int = 0) -> Vector | None:
+def solve_with_near_rows(program: QuadraticProgram, *, most_iterations: int) -> Vector | None:
     """(n,) the x of least cost of a program without soft rows, see `NearRows.solve`."""
-    own = program._replace(rows=())
-    return NearRows(program).solve(own, most_iterations=most_iterations, coupled=coupled)
+    return NearRows(program).solve(program._replace(rows=()), most_iterations=most_iterations)
 
 
 @compiled

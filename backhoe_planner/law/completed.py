@@ -195,39 +195,12 @@ class CompletedLaw:
             return wish.primary, wish.null
         return found[:2]
 
-    def wish_on_null_line(
-        self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
-    ) -> tuple[Vector, Vector] | None:
-        """(4,), (4,) the v and H of `wish`, several times faster, if the null space is one line.
-
-        Parameters are those of `wish`, with joint positions q (4,) for the configuration.
-
-        With N = z z^T the only unknown is the component along z:
-
-            H = z (sum_i w_i (g_i z) missing_i - sum_j h_j z_j v_j) / (eps + sum_i w_i (g_i z)^2 + sum_j h_j z_j^2)
-
-        None if J_e is not (3, 4) or is near a singularity, or if links are to be turned:
-        use `wish` in these cases.
-
-        Raises
-        ------
-        InputError: an argument has the wrong kind or shape; the message names it.
-        """
-        q = as_vector(q, self.robot.n, key="q", names=self.robot.joint_names)
-        J_e, xdot_e = self._checked_task(J_e, xdot_e)
-        nearby = self._checked_rows(nearby)
-        if J_e.shape != (3, 4):
-            return None
-        found = self.quick_terms_unchecked(q, J_e, xdot_e, nearby)
-        return None if found is None or found[2] > 0.0 else (found[0] + found[1], found[1])
-
     def quick_terms_unchecked(
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector, float] | None:
-        """(n,), (n,) the `primary` and `null` of `wish`, and its damping, faster than by `wish`.
+        """(n,), (n,) the `primary` and `null` of `wish`, and its damping, faster than by `wish`: see `quick_terms`.
 
-        None if links are to be turned, or if there is no faster way: the plain version works for a null space that is
-        one line, away from singularities, see `wish_on_null_line`.
+        None if links are to be turned, or if there is no faster way.
         """
         if self._turns:
             return None
@@ -343,6 +316,11 @@ def quick_terms(
 ) -> tuple[Vector, Vector, float] | None:  # fmt: skip
     """(n,), (n,) J_e^+ xdot_e times s_e, and H, and the damping; None if there is no faster way than `wish`.
 
+    The plain version works if J_e is (3, 4) and not near a singularity. Then the null space is one line, N = z z^T, and
+    the only unknown is the component along z:
+
+        H = z (sum_i w_i (g_i z) missing_i - sum_j h_j z_j v_j) / (eps + sum_i w_i (g_i z)^2 + sum_j h_j z_j^2)
+
     Parameters
     ----------
     q: (n,) joint positions [rad or m].
@@ -375,7 +353,7 @@ def quick_terms(
 
 
 def _sums_of_rows(margins: Vector, drifts: Vector, rates: Matrix, settings: LawSettings) -> tuple[float, float]:
-    """Numerator and denominator of H in `wish_on_null_line`, without the holds; rates (K, 2) are g_i z, g_i v_e."""
+    """Numerator and denominator of H in `quick_terms`, without the holds; rates (K, 2) are g_i z, g_i v_e."""
     influence, unity, nominal = settings.influence, settings.unity, settings.nominal
     nearest = unity / settings.nearest_push
     above = below = 0.0

@@ -39,11 +39,6 @@ class TaskInverse(NamedTuple):
     projector: Matrix
     damping: float
 
-    @property
-    def singular_values(self) -> Vector:
-        """(m,) of J, ascending."""
-        return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(self.J @ self.J.T), 0.0)))
-
 
 def pseudo_inverse(J: Matrix, *, scale: float | None = None) -> Matrix:
     """The Moore-Penrose inverse J^+ of equation (3), by singular values; (n, m).

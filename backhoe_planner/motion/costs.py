@@ -44,7 +44,6 @@ from backhoe_planner.motion.objectives import (
     Step,
     TipVelocities,
     Usual,
-    find_objective,
 )
 from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
@@ -69,22 +68,17 @@ class PathCost:
     Parameters
     ----------
     problem: machine, scene and path.
-    name: of the objective, by default the scene's.
 
     Attributes
     ----------
-    objective: the objective that defines the cost.
+    objective: the problem's, which defines the cost.
     speed: u, the tip's speed [m/s]; infinite for `time` if the scene gives none.
     per_radian: value of the objective that counts as 1 rad of cost, such as the J of work.
-
-    Raises
-    ------
-    SceneError: no such objective, or the machine lacks what it needs.
     """
 
-    def __init__(self, problem: Problem, name: str | None = None) -> None:
+    def __init__(self, problem: Problem) -> None:
         robot, scene = problem.robot, problem.scene
-        self.objective = problem.objective if name is None else find_objective(name, robot)
+        self.objective = problem.objective
         self._machine = LoadedMachine(
             Dynamics(robot, payload=scene.payload, payload_at=scene.payload_at),
             None if scene.soil is None else SoilReaction(robot, scene.soil, problem.ground),

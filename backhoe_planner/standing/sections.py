@@ -142,7 +142,7 @@ def _laid_out(
     for number in range(count):
         start = number * (length - slope)
         end = trench.length if number == count - 1 else start + length
-        dig = _section(job, finder, trench, (start, end), backward=backward)
+        dig = _section(finder, trench, (start, end), backward=backward)
         spots = _spots(job, finder, dig, (start, end), (begin, ahead), reach)
         if isinstance(spots, str):
             return f"section {number + 1} of {count}, {start:.2f} to {end:.2f} m along the trench: {spots}"
@@ -158,9 +158,7 @@ def _line(trench: Trench, backward: bool) -> tuple[Vector, Vector]:
     return a, (b - a) / trench.length
 
 
-def _section(
-    job: Job, finder: SpotFinder, trench: Trench, part: tuple[float, float], *, backward: bool
-) -> dict[str, Any]:
+def _section(finder: SpotFinder, trench: Trench, part: tuple[float, float], *, backward: bool) -> dict[str, Any]:
     """A part of a trench as a trench of its own: its depth counts from the ground at its own beginning."""
     begin, ahead = _line(trench, backward)
     first, last = begin + part[0] * ahead, begin + part[1] * ahead

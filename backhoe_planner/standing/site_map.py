@@ -116,15 +116,13 @@ class SpotFinder:
             found.dumps = tuple(replace(dump, distance=foot) for dump in self.dumps)
         return found
 
-    def at(self, axis: Vector, *, toward: Vector | None = None, dumps: Sequence[int] | None = None,
-           keep_off: Matrix | None = None) -> Spot:  # fmt: skip
+    def at(self, axis: Vector, *, toward: Vector | None = None, dumps: Sequence[int] | None = None) -> Spot:
         """The best heading of a machine whose swing axis is at `axis` (2,) [m].
 
         Parameters
         ----------
         toward: (2,) the direction of digging; by default towards the middle of the dig.
         dumps: numbers of the places to dump that may be used; by default all.
-        keep_off: (k, 2) further points on which no machine may stand [m].
         """
         area, reach = self.area, self.reach
         ahead = area.middle - axis if toward is None else toward
@@ -161,7 +159,7 @@ class SpotFinder:
             if not can.any():
                 worst = _later(worst, Spot(base, math.nan, share, (), "dump", _WORDS["dump"]))
                 continue
-            reason, name, clear = self._stands(base, [n for n, ok in zip(numbers, can, strict=True) if ok], keep_off)
+            reason, name, clear = self._stands(base, [n for n, ok in zip(numbers, can, strict=True) if ok])
             if reason:
                 why = f"{_WORDS[reason]} {name}".strip()
                 worst = _later(worst, Spot(base, math.nan, share, (), reason, why))
@@ -186,13 +184,11 @@ class SpotFinder:
         turn = (angle - bearing + np.pi) % (2.0 * np.pi) - np.pi
         return self._job.objective_of(*self.reach.cycle(r, turn, dump.table, math.hypot(x, y))), bearing
 
-    def _stands(self, base: Base, dumps: Sequence[int], keep_off: Matrix | None) -> tuple[str, str, tuple[int, ...]]:
+    def _stands(self, base: Base, dumps: Sequence[int]) -> tuple[str, str, tuple[int, ...]]:
         """Why the machine cannot stand at a base, with the obstacle's name; and the dumps that it is clear of."""
         area, footprint = self.area, self.footprint
         near = footprint.distances(base, area.keep_off).min() if len(area.keep_off) else math.inf
         if near <= area.distance:
-            return "edge", "", ()
-        if keep_off is not None and len(keep_off) and footprint.distances(base, keep_off).min() <= 0.0:
             return "edge", "", ()
         if reason := self._bad_ground(base):
             return reason, "", ()

@@ -162,8 +162,6 @@ def test_depth_and_cohesion_raise_the_forces_and_make_cuts_shallower(digger: Dig
         for cohesion in (60e3, 90e3, 130e3, 190e3)
     ]
     assert np.all(np.diff(depths) < 0.0)
-    more = cut(Digger(digger.robot, Soil(cohesion=90e3), margin=0.3), depth=0.5)
-    assert more.greatest_depth < depths[1]
 
 
 def test_the_plate_keeps_its_angle_to_the_path(digger: Digger) -> None:

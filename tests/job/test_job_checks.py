@@ -409,7 +409,7 @@ def test_soil_that_is_only_scraped_is_too_hard_where_nothing_more_comes(
     cut = find_cut(digger, Profile.level(0.0, 0.0, 8.0), swing=0.0, start=4.2, end=3.0, depth=0.6 if is_hard else 0.05)
     assert isinstance(cut, Cut)
     refusals = _Refusals()
-    refusals.add_empty(NextCut(None, cut, "layer 1"), 0, 6, allowed=1.0 - digger.margin)  # type: ignore[arg-type]
+    refusals.add_empty(NextCut(None, cut, "layer 1"), 0, 6)  # type: ignore[arg-type]
     assert refusals.note == "the cut at cycle 6 takes nothing any more"
     if is_hard:
         deep = f"{100.0 * cut.greatest_depth:.0f} cm"

@@ -290,7 +290,7 @@ def test_many_coupled_variables_have_the_same_solution_in_the_metric_of_their_co
     assert elsewhere is not None
     np.testing.assert_allclose(again, plain.x, atol=1e-8)
     np.testing.assert_allclose(elsewhere, plain.x, atol=1e-8)
-    near = solve_with_near_rows(program, most_iterations=1000, coupled=coupled)
+    near = NearRows(program).solve(program._replace(rows=()), most_iterations=1000, coupled=coupled)
     assert near is not None
     np.testing.assert_allclose(near, plain.x, atol=1e-6)
     both = Rows("both sides", np.vstack((G[:1], -G[:1])), np.array([-9.0, -9.0]), Kind.HARD)
@@ -334,12 +334,11 @@ def test_programs_that_share_rows_are_solved_with_their_own_variables_and_rows()
     low, high = np.full(20, -1.0), np.full(20, 1.0)
     first = QuadraticProgram(np.eye(20), rng.normal(size=20), low, high, (ball, plane))
     shared = NearRows(first)
+    wide = tuple(row._replace(G=np.hstack((row.G, np.zeros((len(row.h), 5))))) for row in first.rows)
     own = Rows("own", np.hstack((rng.normal(size=(5, 20)), -np.eye(5))), np.full(5, -0.1), Kind.HARD)
     more = (np.append(first.low, np.zeros(5)), np.append(first.high, [UNBOUNDED] * 5))
     second = QuadraticProgram(np.eye(25), np.append(3.0 * first.f, np.zeros(5)), *more, (own,))
-    for program in (first._replace(rows=()), second):
-        whole = shared.all_with(program)
-        assert sum(len(row.h) for row in whole.rows) == 201 + sum(len(row.h) for row in program.rows)
+    for program, whole in ((first._replace(rows=()), first), (second, second._replace(rows=(*wide, own)))):
         expected, found = solve_program(whole), shared.solve(program, most_iterations=1000)
         assert expected is not None
         assert found is not None

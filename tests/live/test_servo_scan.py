@@ -352,7 +352,7 @@ def test_boxes_found_bit_by_bit_cover_as_much_as_those_found_at_once_and_bound_d
         q = np.array(START) + rng.normal(0.0, 0.15, 4)
         for one in separation.counting_clusters:
             at.place(0, q)
-            once = cluster_boxes.find_boxes(separation, one, at, 0, reach=0.6, exact=0.4, slack=0.15, is_new=True)
+            once = cluster_boxes.find_boxes(separation, one, at, reach=0.6, exact=0.4, slack=0.15, is_new=True)
             assert once is not None
             covered, nearest = one.covered, one.nearest
             if one.was_inside or not boxes.search(one, at, reach=0.6):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion import TipPath, build_problem, time_along
+from backhoe_planner.motion import SAMPLE_PERIOD, FastestRun, TipPath, build_problem
 from backhoe_planner.planning import resolve_along
 from backhoe_planner.site import Proximity, Waypoint
 
@@ -17,7 +17,7 @@ def test_a_very_slow_motion_has_samples_only_where_it_moves(planar4: bp.Robot) -
     turn = np.concatenate((np.linspace(0.0, 0.3, 101), np.linspace(0.3, 1.0, 21)[1:]))
     q = np.outer(turn, [1.0, -1.0, 0.5, 0.2])
     limits = planar4.limits
-    motion = time_along(stations, q, limits, speed=1e-4)
+    motion = FastestRun(stations, q, limits, speed=1e-4).motion(SAMPLE_PERIOD)
     assert len(motion) < 5000
     assert motion.duration == pytest.approx(1e4, rel=0.01)
     np.testing.assert_allclose(motion.q[[0, -1]], q[[0, -1]], atol=1e-12)

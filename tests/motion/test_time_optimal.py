@@ -15,7 +15,9 @@ from scipy.optimize import brentq
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import BatchKinematics, Dynamics, Hydraulics, JointLimits, Robot, load_robot
 from backhoe_planner.motion import (
+    SAMPLE_PERIOD,
     Drive,
+    FastestRun,
     Problem,
     Rows,
     Trajectory,
@@ -93,7 +95,8 @@ def test_two_joints_on_a_straight_line_keep_the_tighter_of_each_limit(planar4: R
 
 def test_the_requested_tip_speed_bounds_the_motion(planar4: Robot) -> None:
     part, q = line([0.0] * 4, [0.5, 0.0, 0.0, 0.0])
-    slow = time_along(2.0 * part, q, with_limits(planar4.limits, velocity=9.0, acceleration=1e3), speed=0.1)
+    limits = with_limits(planar4.limits, velocity=9.0, acceleration=1e3)
+    slow = FastestRun(2.0 * part, q, limits, speed=0.1).motion(SAMPLE_PERIOD)
     assert slow.duration == pytest.approx(2.0 / 0.1, rel=1e-3)
 
 
@@ -104,7 +107,8 @@ def test_the_tip_has_the_requested_speed_even_if_arc_lengths_are_wrong(planar4: 
     arm = float(np.linalg.norm(kinematics.at(np.zeros((1, 4))).tip_position[0, :2]))
     part, q = line([0.0] * 4, [0.5, 0.0, 0.0, 0.0])
     limits = with_limits(planar4.limits, velocity=9.0, acceleration=1e3)
-    motion = time_along(part_of_way * 0.5 * arm * part, q, limits, speed=0.1, kinematics=kinematics)
+    run = FastestRun(part_of_way * 0.5 * arm * part, q, limits, speed=0.1, kinematics=kinematics)
+    motion = run.motion(SAMPLE_PERIOD)
     assert motion.duration == pytest.approx(0.5 * arm / 0.1, rel=1e-3)
 
 
@@ -115,7 +119,7 @@ def test_samples_with_too_fast_a_tip_are_timed_again(planar4: Robot) -> None:
     kinks = np.interp(part, [0.0, 0.3, 0.5, 1.0], [0.0, 0.4, 0.3, 0.9])
     q = np.column_stack((part, -kinks, 0.5 * kinks, 0.2 * part))
     kinematics = BatchKinematics(planar4)
-    motion = time_along(part, q, planar4.limits, speed=0.05, kinematics=kinematics)
+    motion = FastestRun(part, q, planar4.limits, speed=0.05, kinematics=kinematics).motion(SAMPLE_PERIOD)
     moved = np.linalg.norm(np.diff(kinematics.at(motion.q).tip_position, axis=0), axis=1)
     assert np.max(moved / np.diff(motion.time)) <= 0.05 * 1.001
     # at the speed itself but for the ends at rest
@@ -189,7 +193,7 @@ def test_with_a_weak_pump_the_duration_is_volume_over_flow(backhoe: Robot) -> No
     caps = np.array([cylinder.cap_area for cylinder in hydraulics.cylinders])
     moved = np.abs(swept) > 1e-9
     assert np.all(swept[moved] > 0.0)
-    motion = time_along(stations, q, robot.limits, drive=Drive(robot), period=0.1)
+    motion = FastestRun(stations, q, robot.limits, drive=Drive(robot)).motion(0.1)
     assert motion.duration == pytest.approx(float(caps @ swept) / 2e-5, rel=1e-3)
 
 
@@ -348,7 +352,7 @@ def test_every_limit_holds_at_ten_times_finer_sampling_and_one_binds(
     robot = strong(backhoe, changes)
     q = smooth_path(robot, seed)
     problem = posed(robot, q, payload=payload)
-    motion = time_along(np.linspace(0.0, 6.0, len(q)), q, problem.limits, drive=drive_of(problem), period=0.002)
+    motion = FastestRun(np.linspace(0.0, 6.0, len(q)), q, problem.limits, drive=drive_of(problem)).motion(0.002)
     usage = limit_usage(problem, motion)
     assert np.max(usage.ratio) <= 1.001
     inside = usage.greatest[2:-2]

@@ -141,10 +141,10 @@ def test_a_motion_along_a_curve_is_fitted_by_that_curve(planar4: bp.Robot) -> No
     rng = np.random.default_rng(5)
     control = JointCurve.straight(np.full(4, -0.3), np.full(4, 0.3), 7).control
     control[1:-1] += 0.1 * rng.normal(size=(6, 4))
-    curve = JointCurve(control, UNEVEN)
+    curve = JointCurve(control)
     time = np.linspace(0.0, 2.0, 4001)
     motion = bp.Trajectory.from_steps(time, curve(time / 2.0))
-    fitted = JointCurve.fitted(motion, 7, planar4.limits, knots=UNEVEN)
+    fitted = JointCurve.fitted(motion, 7, planar4.limits)
     np.testing.assert_allclose(fitted.control, control, atol=1e-4)
 
 

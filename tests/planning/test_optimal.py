@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise, product
 from pathlib import Path
@@ -109,7 +110,7 @@ def test_refining_a_random_stretch_never_raises_its_cost(
     assert problem.path is not None
     objective = PathCost(problem)
     proximity = bp.Proximity(robot, problem.obstacles)
-    piece = resolved(problem, PathCost(problem, "velocity_norm"), grid=10.0, layer=0.1)
+    piece = resolved(problem, PathCost(replace(problem, objective=OBJECTIVES["velocity_norm"])), grid=10.0, layer=0.1)
     targets = TargetBatch.of([problem.path.target(float(s)) for s in piece.stations])
     rng = np.random.default_rng(5)
     fell = 0
@@ -146,7 +147,8 @@ def test_each_objective_is_least_in_the_plan_that_minimises_it(backhoe: bp.Robot
             problem, problem.path, piece, cost=PathCost(problem),
             proximity=bp.Proximity(backhoe), free_start=True, free_end=True,
         ).q  # fmt: skip
-        values[name] = {other: PathCost(problem, other).value(piece.stations, q) for other in OBJECTIVES}
+        costs = {other: PathCost(replace(problem, objective=objective)) for other, objective in OBJECTIVES.items()}
+        values[name] = {other: cost.value(piece.stations, q) for other, cost in costs.items()}
     for name in OBJECTIVES:
         least = min(values[other][name] for other in OBJECTIVES)
         assert values[name][name] <= 1.02 * least

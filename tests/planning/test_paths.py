@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from reasons import nearest, obstruction, span
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.motion import PathCost, Problem, build_problem, step_lengths
+from backhoe_planner.motion import OBJECTIVES, PathCost, Problem, build_problem, step_lengths
 from backhoe_planner.planning import (
     PathLayers,
     PathResolver,
@@ -375,7 +376,7 @@ def test_smoothing_lowers_the_cost_and_stays_on_the_path(backhoe: bp.Robot, seed
     proximity = bp.Proximity(backhoe, problem.obstacles)
     resolved = PathResolver(
         problem, problem.path, proximity=proximity, find_detour=lambda a, b, low, high: None,
-        cost=PathCost(problem, "velocity_norm").step_costs,
+        cost=PathCost(replace(problem, objective=OBJECTIVES["velocity_norm"])).step_costs,
     ).resolve(None, detours=False)  # fmt: skip
     assert resolved.obstruction is None
     [piece] = resolved.pieces

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector, as_number
-from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.errors import check_kind
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.cut import Cut, CutGround, Holding
@@ -13,7 +13,7 @@ from backhoe_planner.machine import Dynamics, JointLimits, Robot
 from backhoe_planner.motion import Drive, Trajectory, time_along
 from backhoe_planner.site import Soil, SoilReaction
 
-_MARGIN = 0.15  # part of a cylinder's capability that is reserved for acceleration and for harder soil; chosen
+RESERVE = 0.15  # part of a cylinder's capability that is reserved for acceleration and for harder soil; chosen
 _SWELL = 1.25  # volume of loose soil divided by that of the bank: usually 1.2 to 1.3
 # part of the accelerations, for the path's curvature and for the speed each: durations of 60 random cuts were then
 # estimated to 0.5 % on average, with a spread of 2 %; on rough ground a motion may take up to 50 % longer
@@ -31,7 +31,6 @@ class Digger:
     bucket: the bucket; by default that of the machine.
     limits: limits of the joints; by default the machine's own.
     swell: volume of loose soil divided by that of the bank.
-    margin: part of a cylinder's capability that is kept in reserve.
 
     Raises
     ------
@@ -46,7 +45,6 @@ class Digger:
         bucket: Bucket | None = None,
         limits: JointLimits | None = None,
         swell: float = _SWELL,
-        margin: float = _MARGIN,
     ) -> None:
         self.robot = check_kind(robot, Robot, key="robot")
         self.limits = robot.limits if limits is None else limits
@@ -54,9 +52,6 @@ class Digger:
         self.bucket = Bucket.of(robot, width=soil.width) if bucket is None else bucket
         self.soil = check_kind(soil, Soil, key="soil").model_copy(update={"width": self.bucket.width})
         self.swell = as_number(swell, key="swell", above=0.0)
-        self.margin = as_number(margin, key="margin", least=0.0)
-        if self.margin >= 1.0:
-            raise InputError("leaves nothing to dig with", key="margin", found=self.margin, allowed="below 1")
         self._drive = Drive(robot, effort=self.limits.effort)
 
     def motion(self, cut: Cut) -> Trajectory:

@@ -20,7 +20,7 @@ from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_number
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.job.cuts.attitude import ENTERING, Attitude, Stuck, attitude, wanted_pitch
 from backhoe_planner.job.cuts.cut import Cut, CutGround, NoCut
-from backhoe_planner.job.cuts.digger import Digger
+from backhoe_planner.job.cuts.digger import RESERVE, Digger
 from backhoe_planner.job.cuts.edge_path import Descent, Underground, spaced
 from backhoe_planner.job.cuts.profile import Profile
 
@@ -166,7 +166,7 @@ def _checked(
 
 def _deepest(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
     """The deepest cut that the cylinders can hold, at most `depth`."""
-    allowed = 1.0 - asked.digger.margin
+    allowed = 1.0 - RESERVE
     found = _cut(asked, depth, descent)
     if isinstance(found, NoCut) or found.holding.ratio <= allowed:
         return found
@@ -174,8 +174,8 @@ def _deepest(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
     if isinstance(least, NoCut):
         return least
     if least.holding.ratio > allowed:
-        kept = f"; a plan uses at most {100.0 * allowed:.0f} %" if asked.digger.margin else ""
-        reason = f"this soil cannot be cut at any depth: even at {100.0 * _THINNEST:.0f} cm it takes {{}}{kept}"
+        reason = f"this soil cannot be cut at any depth: even at {100.0 * _THINNEST:.0f} cm it takes {{}}; "
+        reason += f"a plan uses at most {100.0 * allowed:.0f} %"
         holding = least.holding
         return NoCut("cylinder", reason.format(holding.describe()), holding.r, holding.z, holding)
     low, high, best = min(_THINNEST, depth), depth, least

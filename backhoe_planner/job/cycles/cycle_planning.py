@@ -144,7 +144,7 @@ class CyclePlanner:
                     failed = Failed("approach", approach.why)
                     continue
                 legs.append(approach.leg)
-            found = self._after(number, [*legs, cut_leg], path, state, chosen)
+            found = self._after(number, [*legs, cut_leg], state, chosen)
             if not isinstance(found, Failed):
                 return found
             failed = found
@@ -175,7 +175,7 @@ class CyclePlanner:
         return replace(leg, payload=float(load.mass[-1])), path
 
     def _after(
-        self, number: int, legs: list[CycleLeg], path: CutPath, state: SiteState, chosen: NextCut
+        self, number: int, legs: list[CycleLeg], state: SiteState, chosen: NextCut
     ) -> tuple[Cycle, SiteState] | Failed:
         """The swing and the dump after a cut."""
         site, cut, motion = self._site, chosen.cut, legs[-1].trajectory

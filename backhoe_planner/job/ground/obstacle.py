@@ -23,14 +23,12 @@ _UNDER_BORDER = 0.05  # m below the terrain that the ground beyond it is drawn u
 _DEEP = 20.0  # m of ground beyond the grid; chosen: deeper than any arm reaches
 
 
-def terrain_obstacle(
-    terrain: Terrain, name: str, clearance: float, links: Sequence[str] | None = None, *, before: Obstacle | None = None
-) -> Obstacle:
+def terrain_obstacle(terrain: Terrain, name: str, clearance: float, *, before: Obstacle | None = None) -> Obstacle:
     """The present ground as one obstacle; its distances equal those of the same heights read from a file.
 
     Parameters
     ----------
-    name, clearance, links: as in `Obstacle`.
+    name, clearance: as in `Obstacle`.
     before: the obstacle of this ground at an earlier moment; its distance structures are reused wherever the
         heights are the same.
 
@@ -51,7 +49,7 @@ def terrain_obstacle(
         body = Cluster(cluster.solid.with_heights(heights), place)
     else:
         body = terrain_body(heights, size, place)
-    return _unmoved(spec, body, clearance, None if links is None else tuple(links))
+    return _unmoved(spec, body, clearance)
 
 
 def kept_by_arm(ground: Obstacle, arm: tuple[str, ...], swung: tuple[str, ...]) -> tuple[Obstacle, ...]:
@@ -191,16 +189,13 @@ def _height_map(name: str, low: Vector, high: Vector) -> obstacle_shapes.HeightM
     return obstacle_shapes.HeightMap(name=name, shape="heightmap", file="", size=size, position=(x, y, 0.0))
 
 
-def _unmoved(
-    spec: obstacle_shapes.ObstacleSpec, body: Cluster | Sequence[Piece], clearance: float,
-    links: tuple[str, ...] | None = None,
-) -> Obstacle:  # fmt: skip
-    """An obstacle that is there from the start, and does not move."""
+def _unmoved(spec: obstacle_shapes.ObstacleSpec, body: Cluster | Sequence[Piece], clearance: float) -> Obstacle:
+    """An obstacle for all links that is there from the start, and does not move."""
     return Obstacle(
         name=spec.name,
         pieces=() if isinstance(body, Cluster) else tuple(body),
         clearance=as_number(clearance, key="clearance", least=0.0),
-        links=links,
+        links=None,
         appears_at=0.0,
         velocity=np.zeros(3),
         spec=spec,

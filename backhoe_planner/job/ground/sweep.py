@@ -11,14 +11,12 @@ as wide as the blade, and two passes side by side leave no ridge.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_array, as_number, as_rows
 from backhoe_planner.errors import InputError, check_kind
-from backhoe_planner.job.ground.heaps import poured
 from backhoe_planner.job.ground.slumping import slumped
 from backhoe_planner.job.ground.terrain import Terrain
 
@@ -66,38 +64,25 @@ class Sweep:
 
     Attributes
     ----------
-    terrain: the ground afterwards; loose soil that lost its support has slumped, and the spilt soil is on it.
+    terrain: the ground afterwards; loose soil that lost its support has slumped.
     bank, loose: (K,) undisturbed and loose soil taken up to each moment [m^3].
-    room: loose volume that the bucket had room for [m^3].
     """
 
     terrain: Terrain
     bank: Vector
     loose: Vector
-    room: float = math.inf
 
     @property
     def volume(self) -> Vector:
         """(K,) loose volume of all soil taken up to each moment [m^3]: what the bucket holds and what it spilt."""
         return self.terrain.swell * self.bank + self.loose
 
-    @property
-    def held(self) -> Vector:
-        """(K,) loose volume in the bucket at each moment, in addition to its earlier contents [m^3]."""
-        return np.minimum(self.volume, self.room)
 
-    @property
-    def spilt(self) -> float:
-        """Loose volume that found no room; it is poured out where the blade was last in the ground [m^3]."""
-        return float(self.volume[-1] - self.held[-1])
-
-
-def swept(terrain: Terrain, blade: BladeSweep, *, room: float = math.inf, slump: bool = True) -> Sweep:
+def swept(terrain: Terrain, blade: BladeSweep, *, slump: bool = True) -> Sweep:
     """The ground after a blade went through it.
 
     Parameters
     ----------
-    room: loose volume that the bucket behind the blade can take [m^3]; the rest is spilt.
     slump: whether loose soil that lost its support slumps to rest.
 
     Raises
@@ -106,7 +91,6 @@ def swept(terrain: Terrain, blade: BladeSweep, *, room: float = math.inf, slump:
     """
     check_kind(terrain, Terrain, key="terrain")
     check_kind(blade, BladeSweep, key="blade")
-    room = as_number(room, key="room", least=0.0, finite=False)
     moments = len(blade.edge)
     reach = 0.5 * blade.width * np.abs(blade.across[:, :2])
     low, high = (blade.edge[:, :2] - reach).min(axis=0), (blade.edge[:, :2] + reach).max(axis=0)
@@ -115,7 +99,7 @@ def swept(terrain: Terrain, blade: BladeSweep, *, room: float = math.inf, slump:
     patch = surface[rows, columns]
     if not patch.size or blade.edge[:, 2].min() - 0.5 * blade.width > patch.max():
         nothing = np.zeros(moments)
-        return Sweep(terrain, nothing, nothing, room)
+        return Sweep(terrain, nothing, nothing)
     crossings = _crossings(blade, *_parts(terrain, rows, columns), terrain.cell / _PARTS)
     number = crossings.part // _PARTS**2
     flat = patch.ravel()
@@ -132,12 +116,7 @@ def swept(terrain: Terrain, blade: BladeSweep, *, room: float = math.inf, slump:
     after = terrain.with_layers(new_bank, new_loose)
     if slump:
         after = slumped(after, low - terrain.cell, high + terrain.cell)
-    found = Sweep(after, bank.sum(axis=0) * terrain.cell**2, loose.sum(axis=0) * terrain.cell**2, room)
-    if found.spilt > 0.0:
-        last = int(np.argmax(found.volume))  # the first moment at which all is taken
-        place = np.clip(blade.edge[last, :2], terrain.low, terrain.high)
-        found = replace(found, terrain=poured(after, place, found.spilt))
-    return found
+    return Sweep(after, bank.sum(axis=0) * terrain.cell**2, loose.sum(axis=0) * terrain.cell**2)
 
 
 def _parts(terrain: Terrain, rows: slice, columns: slice) -> tuple[Matrix, Indices]:

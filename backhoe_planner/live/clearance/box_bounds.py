@@ -65,7 +65,7 @@ class BoxBounds:
     def search(self, one: ClusterPairs, at: Placements, *, reach: float) -> bool:
         """Begin to find these boxes bit by bit in the following steps; False if they have to be found at once."""
         search = search_boxes(
-            self._separation, one, at, 0, reach=reach, exact=one.clearance + self._bounds.influence, slack=SLACK
+            self._separation, one, at, reach=reach, exact=one.clearance + self._bounds.influence, slack=SLACK
         )
         self._search = None if search is None else (search, self._bounds.odometer(one.classes))
         return search is not None
@@ -112,7 +112,7 @@ class BoxBounds:
         False if there are none, as before.
         """
         found = find_boxes(
-            self._separation, one, at, 0, reach=reach, exact=one.clearance + self._bounds.influence,
+            self._separation, one, at, reach=reach, exact=one.clearance + self._bounds.influence,
             is_new=is_new, slack=slack,
         )  # fmt: skip
         if found is None:

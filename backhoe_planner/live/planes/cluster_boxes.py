@@ -22,8 +22,8 @@ _NO_BOXES = np.zeros((0, 50))
 
 
 def find_boxes(
-    separation: Separation, one: ClusterPairs, at: Placements, sample: int,
-    *, reach: float, exact: float, slack: float, is_new: bool,
+    separation: Separation, one: ClusterPairs, at: Placements, *, reach: float, exact: float, slack: float,
+    is_new: bool,
 ) -> Vector | None:  # fmt: skip
     """Find again the boxes that represent a cluster around a link; return the distance of each of its pairs [m].
 
@@ -31,12 +31,13 @@ def find_boxes(
 
     Parameters
     ----------
+    at: the placements of the bodies; the first counts.
     reach: distance within which its cells count [m].
     exact: distance up to which boxes are to be as exact as cells [m].
     slack: see `ClusterPairs.find`.
     is_new: whether nothing is known about it from the step before.
     """
-    pose = at.T[sample, separation.own.joint[one.piece]]
+    pose = at.T[0, separation.own.joint[one.piece]]
     parts = one.find(pose, separation.shifts[one.number], reach, exact=exact, slack=slack, is_new=is_new)
     one.found_at = pose[:3].copy()
     if not (parts or one.boxes or is_new):
@@ -46,11 +47,10 @@ def find_boxes(
 
 
 def search_boxes(
-    separation: Separation, one: ClusterPairs, at: Placements, sample: int,
-    *, reach: float, exact: float, slack: float,
-) -> BoxSearch | None:  # fmt: skip
+    separation: Separation, one: ClusterPairs, at: Placements, *, reach: float, exact: float, slack: float
+) -> BoxSearch | None:
     """Begin to find these boxes bit by bit; None if they have to be found at once. Parameters as for `find_boxes`."""
-    pose = at.T[sample, separation.own.joint[one.piece]]
+    pose = at.T[0, separation.own.joint[one.piece]]
     return one.search(pose, separation.shifts[one.number], reach, exact=exact, slack=slack)
 
 

@@ -396,9 +396,9 @@ class Recovery:
                 while self._escape.looked < until:
                     next(self._running)
             except StopIteration as end:
-                self._end_search(q, end.value)
+                self._end_search(end.value)
             except Exception:
-                self._end_search(q, None)
+                self._end_search(None)
                 raise
             return
         self._since += 1
@@ -435,7 +435,7 @@ class Recovery:
                 return (yield from escape.below(q)) or route
         return (yield from escape.below(q))
 
-    def _end_search(self, q: Vector, route: EscapeRoute | None) -> None:
+    def _end_search(self, route: EscapeRoute | None) -> None:
         self._rests = route is None and self._tries % 3 < 2
         self._running = self._escape = None
         self._since, self._best, self._waits = 0, math.inf, False

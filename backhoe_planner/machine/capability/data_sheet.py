@@ -35,6 +35,7 @@ from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinemat
 from backhoe_planner.machine.robot import Robot
 
 _DUMP_PITCH = np.radians(-80.0)  # rad; chosen, see above
+_REACHABLE = 20_000  # points of a picture of the envelope; chosen
 _GRID = 9  # points per joint from which the search starts; chosen
 _SAMPLES = 4001  # of a joint's range: a thousandth of a radian apart, and the torque is flat at its maximum
 _AT_PIN = 1e-3  # m: a tip this near the last pin has no lever to dig with
@@ -89,10 +90,10 @@ def _ends_held(robot: Robot) -> bool:
     return robot.first_held_at is not None or robot.pitch_pin is not None
 
 
-def reachable_points(robot: Robot, *, count: int = 20_000, seed: int = 0) -> Matrix:
-    """(count, 3) positions of the tip [m], world, at random joint positions drawn with `seed`."""
-    kinematics, rng = Kinematics(robot), np.random.default_rng(seed)
-    return np.array([kinematics.at(robot.random_q(rng)).tip_position for _ in range(count)])
+def reachable_points(robot: Robot) -> Matrix:
+    """(K, 3) positions of the tip [m], world, at random joint positions, always the same."""
+    kinematics, rng = Kinematics(robot), np.random.default_rng(0)
+    return np.array([kinematics.at(robot.random_q(rng)).tip_position for _ in range(_REACHABLE)])
 
 
 class _Plane:

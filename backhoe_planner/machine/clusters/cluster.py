@@ -146,7 +146,7 @@ class Cluster:
 
     def around(
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
-        slack: float, shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None,
+        slack: float, exact: float = 0.0, ground: Part | None = None,
     ) -> Around:  # fmt: skip
         """All cells within `reach` [m] of a convex piece of a body, in a few boxes.
 
@@ -159,7 +159,7 @@ class Cluster:
 
         Parameters
         ----------
-        T_world_body, shift: as in `measure`.
+        T_world_body: placement of the body.
         exact: distance up to which single cells are used, too, so that no coarse cube comes nearer than this [m].
         ball: centre (3,) and radius [m] of the region that the machine can reach, world.
         ground: from `ground_under` for the same reach. Cells behind its face are in it, and in no other box.
@@ -168,50 +168,48 @@ class Cluster:
         most: the greatest number of boxes. If more are needed, the cells left are further away than `covered` [m].
         """
         *_, found = self.around_bit_by_bit(
-            piece, T_world_body, reach,
-            ball=ball, most=most, slack=slack, shift=shift, exact=exact, ground=ground,
-        )  # fmt: skip
+            piece, T_world_body, reach, ball=ball, most=most, slack=slack, exact=exact, ground=ground
+        )
         assert found is not None
         return found
 
     def around_bit_by_bit(
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
-        slack: float, exact: float, shift: Vector | None = None, ground: Part | None = None,
+        slack: float, exact: float, ground: Part | None = None,
     ) -> Iterator[Around | None]:  # fmt: skip
         """`around` in steps of some 50 to 100 us: yields None after each step, and the result at the end.
 
         It takes two or three steps, and one for each box if `boxes_of_cells` leaves them to coal.
         """
-        shift = _NO_SHIFT if shift is None else shift
         quick = None
         if ground is None:
-            quick = self._quick_boxes(piece, T_world_body, reach, self._coarse(ball), most, slack, shift, exact)
+            quick = self._quick_boxes(piece, T_world_body, reach, self._coarse(ball), most, slack, exact)
         if quick is not None and not len(quick[2]):
             yield Around(tuple(quick[0]), reach)
             return
-        link = self._local(piece, T_world_body, shift)
+        link = self._local(piece, T_world_body, _NO_SHIFT)
         if quick is None:
             cells, off = yield from self._cells_around(link, reach, ball, exact)
             if ground is not None:
                 n = ground.reading.normal @ self._R
-                face = float((ground.reading.other_point - self._t - shift) @ ground.reading.normal)
+                face = float((ground.reading.other_point - self._t) @ ground.reading.normal)
                 above = (cells.least_along(n) < face - _BEYOND).nonzero()[0]
                 cells, off = cells.only(above), off.take(above)
-            parts, cells, off = yield from self._boxes_of(cells, off, link, most, slack, shift)
+            parts, cells, off = yield from self._boxes_of(cells, off, link, most, slack)
         else:
             parts, cells, off = quick
         if not len(off):
             yield Around(tuple(parts), reach)
             return
-        around = self._box(cells, link.R, shift)
+        around = self._box(cells, link.R)
         T_box = transform(around.placement.rotation, around.placement.translation)
-        T_here = transform(self._R @ link.R, self._R @ link.t + self._t + shift)
+        T_here = transform(self._R @ link.R, self._R @ link.t + self._t)
         rest = Part.of(around, Reading(*Gauge().measure(link.shape, T_here, around.shape, T_box)))
         yield Around(tuple(parts), min(reach, float((off - cells.around()[1]).min())), rest)
 
     def _quick_boxes(
         self, piece: Piece, T_world_body: pin.SE3, reach: float, coarse: CoarseCells, most: int, slack: float,
-        shift: Vector, exact: float,
+        exact: float,
     ) -> tuple[list[Part], CellSet, Vector] | None:  # fmt: skip
         """The boxes around voxels, the cells in none of them, and the distances of these; None if coal is needed."""
         cubes, voxels = coarse.cubes, self.solid.voxels
@@ -219,7 +217,7 @@ class Cluster:
             return None
         rules = piece.radius, slack, self.solid.finest, _BEYOND, reach, _fine_within(coarse.step, exact), coarse.step
         found = boxes_of_voxels(
-            piece.hull, piece.pose[0], T_world_body.rotation, T_world_body.translation, self._R, self._t + shift,
+            piece.hull, piece.pose[0], T_world_body.rotation, T_world_body.translation, self._R, self._t,
             coarse.regions, rules, most, *cubes, *voxels,
         )  # fmt: skip
         if found is None:
@@ -228,7 +226,7 @@ class Cluster:
         return list(map(Part, numbers)), CellSet(middle, half, _NO_TRIANGLES), off
 
     def _boxes_of(
-        self, cells: CellSet, off: Vector, link: Placed, most: int, slack: float, shift: Vector
+        self, cells: CellSet, off: Vector, link: Placed, most: int, slack: float
     ) -> Generator[None, None, tuple[list[Part], CellSet, Vector]]:
         """The boxes around cells, the cells that are in none of them, and the distances `off` of these.
 
@@ -236,7 +234,7 @@ class Cluster:
         """
         quick = boxes_of_cells(
             link.hull, link.R, cells.middle, cells.half, cells.corners, off, most,
-            (link.radius, slack, self.solid.finest, _BEYOND), self._R, self._t + shift,
+            (link.radius, slack, self.solid.finest, _BEYOND), self._R, self._t,
         )  # fmt: skip
         if quick is not None:
             return list(map(Part, quick[0])), cells.only(quick[1]), off.take(quick[1])
@@ -248,23 +246,23 @@ class Cluster:
             own, left, before = cells.split(n, nearest, slack * max(distance, 0.0) + _BEYOND)
             part = cells if len(own) == len(off) else cells.only(own)
             distance += before
-            box_of = self._box(part, _frame_along(n, link.R), shift)
+            box_of = self._box(part, _frame_along(n, link.R))
             at_cell = cells.is_cell(nearest, self.solid.finest)
-            parts.append(Part.of(box_of, self._placed(Reading(distance, n, x_link, x_cell), shift), at_cell=at_cell))
+            parts.append(Part.of(box_of, self._placed(Reading(distance, n, x_link, x_cell)), at_cell=at_cell))
             cells, off = cells.only(left), off.take(left)
             yield None
         return parts, cells, off
 
-    def _box(self, cells: CellSet, axes: Matrix, shift: Vector) -> Piece:
+    def _box(self, cells: CellSet, axes: Matrix) -> Piece:
         """The box around cells along `axes` (3, 3) of the solid's frame, in the world."""
         start, end = cells.extent(axes)
         end = np.maximum(end, start + self.solid.finest)
         R = axes if self._is_upright else self._R @ axes
-        return box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t + shift))
+        return box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t))
 
-    def _placed(self, reading: Reading, shift: Vector) -> Reading:
+    def _placed(self, reading: Reading) -> Reading:
         """A reading in the frame of the solid, transformed to the world."""
-        base, (distance, n, x_link, x_cell) = self._t + shift, reading
+        base, (distance, n, x_link, x_cell) = self._t, reading
         if self._is_upright:
             return Reading(distance, n, x_link + base, x_cell + base)
         return Reading(distance, self._R @ n, self._R @ x_link + base, self._R @ x_cell + base)
@@ -345,7 +343,7 @@ class Cluster:
         start[0] = plane
         R = self._R @ axes
         placed = box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t))
-        return Part.of(placed, self._placed(Reading(distance, n, x_link, x_link + distance * n), _NO_SHIFT))
+        return Part.of(placed, self._placed(Reading(distance, n, x_link, x_link + distance * n)))
 
     def inside_of(self, piece: Piece, T_world_body: pin.SE3) -> Part | None:
         """For a piece of a body that is in the ground or in a closed mesh and touches no cell: a box around it.
@@ -365,7 +363,7 @@ class Cluster:
         start[0] = float(found.other_point @ found.normal)
         R = self._R @ axes
         placed = box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t))
-        return Part.of(placed, self._placed(found, _NO_SHIFT))
+        return Part.of(placed, self._placed(found))
 
     def _coarse(self, ball: tuple[Vector, float]) -> CoarseCells:
         """The surface of the solid in cubes, within a ball."""

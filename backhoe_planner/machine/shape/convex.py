@@ -163,8 +163,10 @@ def _check_collada(path: Path) -> None:
             _check_finite(np.array((array.text or "").split(), dtype=float), path)
 
 
-def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = _EXCESS) -> list[Matrix]:
-    """Corner points of convex pieces whose union contains every triangle of `mesh`.
+def convex_cover(
+    mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = _EXCESS
+) -> list[tuple[Matrix, Matrix | None]]:
+    """Convex pieces whose union contains every triangle of `mesh`.
 
     Parameters
     ----------
@@ -174,20 +176,13 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = _EX
 
     Returns
     -------
-    One (k, 3) array of hull vertices per piece [m], in the frame of the mesh. A flat mesh
+    For each piece its corners (k, 3), and those triangles (m, 3, 3) of the mesh that it was grown over, in the frame
+    of the mesh [m]. Every triangle belongs to one piece. The triangles are None if the piece is the mesh. A flat mesh
     becomes one piece that is a little thicker.
 
     Raises
     ------
     InputError: the mesh extends further than 1e7 m from its origin.
-    """
-    return [corners for corners, _ in cover_with_surface(mesh, pieces=pieces, excess=excess)]
-
-
-def cover_with_surface(mesh: trimesh.Trimesh, *, pieces: int, excess: float) -> list[tuple[Matrix, Matrix | None]]:
-    """The pieces of `convex_cover`, each with those triangles (m, 3, 3) of the mesh that it was grown over [m].
-
-    Every triangle belongs to one piece. The triangles are None if the piece is the mesh.
     """
     vertices = np.asarray(mesh.vertices, dtype=float)
     faces = np.asarray(mesh.faces)
@@ -205,15 +200,15 @@ def cover_with_surface(mesh: trimesh.Trimesh, *, pieces: int, excess: float) -> 
     return _grown_over_triangles(hulls, vertices[faces])
 
 
-def hull_if_nearly_convex(mesh: trimesh.Trimesh, *, excess: float = _EXCESS) -> ConvexHull | None:
-    """The convex hull of a mesh that is flat, or whose hull has at most `excess` times its volume; otherwise None.
+def hull_if_nearly_convex(mesh: trimesh.Trimesh) -> ConvexHull | None:
+    """The convex hull of a mesh that is flat, or for which `convex_cover` takes the hull alone; otherwise None.
 
     Raises
     ------
     InputError: see `convex_cover`.
     """
     points, around, volume = _extent(mesh)
-    return around if is_flat(points) or around.volume <= excess * volume else None
+    return around if is_flat(points) or around.volume <= _EXCESS * volume else None
 
 
 def _extent(mesh: trimesh.Trimesh) -> tuple[Matrix, ConvexHull, float]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.files.cache import caches, keep_entry, maker_digest, read_entry
-from backhoe_planner.machine.shape.convex import SPLIT_FORMATS, cover_with_surface, load_mesh
+from backhoe_planner.machine.shape.convex import SPLIT_FORMATS, convex_cover, load_mesh
 
 _LIBRARIES = ("vhacdx", "trimesh", "pycollada", "scipy", "numpy")
 _MAKERS = ("convex.py", "shapes.py", "thinning.py")  # beside this file
@@ -68,7 +68,7 @@ def mesh_cover(path: Path, scale: float | Vector, *, pieces: int = 16, excess: f
                 return Cover(*kept, cached=True)
     mesh = load_mesh(path)
     mesh.apply_scale(scale)
-    found = cover_with_surface(mesh, pieces=pieces, excess=excess)
+    found = convex_cover(mesh, pieces=pieces, excess=excess)
     cover = Cover([corners for corners, _ in found], [surface for _, surface in found], cached=False)
     if entry is not None:
         _keep(entry, key, cover)

@@ -50,13 +50,15 @@ def time_along(
     q: Matrix,
     limits: JointLimits,
     *,
-    speed: float | None = None,
-    kinematics: BatchKinematics | None = None,
-    period: float = SAMPLE_PERIOD,
     drive: Drive | None = None,
     intervals: int = _LEAST_GRID,
 ) -> Trajectory:
-    """The fastest motion through samples of a joint path, from rest to rest.
+    """The fastest motion through samples of a joint path, from rest to rest; parameters are those of `FastestRun`."""
+    return FastestRun(stations, q, limits, drive=drive, intervals=intervals).motion(SAMPLE_PERIOD)
+
+
+class FastestRun:
+    """The fastest motion through samples of a joint path, from rest to rest, to be sampled at any period.
 
     If a load cannot be held even at rest, the motion is timed as if it just could.
 
@@ -68,18 +70,8 @@ def time_along(
     limits: of the joints.
     speed: the greatest speed of the tip [m/s]; None for no such limit.
     kinematics: of the machine, from which the tip's motion follows; without it the tip is assumed at `stations`.
-    period: between the samples of the result [s].
     drive: of the joints; None for no limits other than those of the joints.
     intervals: the approximate least number of intervals whose ends are checked for limits.
-    """
-    run = FastestRun(stations, q, limits, speed=speed, kinematics=kinematics, drive=drive, intervals=intervals)
-    return run.motion(period)
-
-
-class FastestRun:
-    """The fastest motion through samples of a joint path, from rest to rest, to be sampled at any period.
-
-    The parameters are those of `time_along`.
     """
 
     def __init__(

@@ -137,12 +137,10 @@ class JointCurve:
         return self.moved_to(moved)
 
     @classmethod
-    def fitted(
-        cls, motion: Trajectory, pieces: int, limits: JointLimits, *, knots: tuple[float, ...] = ()
-    ) -> JointCurve:
+    def fitted(cls, motion: Trajectory, pieces: int, limits: JointLimits) -> JointCurve:
         """The curve within joint limits that is nearest to a motion over its time, with the same ends."""
-        s = _place(np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * pieces + 1), knots)
-        return cls(_within(limits, _control_near(motion.at(motion.duration * s), pieces, knots)), knots)
+        s = np.linspace(0.0, 1.0, _SAMPLES_PER_PIECE * pieces + 1)
+        return cls(_within(limits, _control_near(motion.at(motion.duration * s), pieces, ())))
 
     @classmethod
     def through(cls, s: Vector, q: Matrix, pieces: int, limits: JointLimits) -> JointCurve:

@@ -101,10 +101,6 @@ class NearKinks:
         """None of them crossed so far."""
         return cls(rises, falls, np.zeros(len(rises.value), dtype=bool), np.zeros(len(falls.value), dtype=bool))
 
-    def all_crossed(self) -> NearKinks:
-        """The same with a variable for each."""
-        return replace(self, rise_crossed=self.rise_crossed | True, fall_crossed=self.fall_crossed | True)
-
     def variables(self) -> Kinks:
         """Those that have a variable, which is the positive part of value + G x, and costs its square."""
         rises, falls = self.rises.some(self.rise_crossed), self.falls.some(self.fall_crossed)

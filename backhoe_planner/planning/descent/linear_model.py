@@ -210,23 +210,15 @@ class LinearModel:
 
     # --- cost --------------------------------------------------------------------------
 
-    def program(self, slack_price: float, *, bend: Bend | None = None, longest: float = np.inf) -> QuadraticProgram:
-        """The program whose solution is the best step; with a variable for each kink that a step may reach.
+    def program(self, slack_price: float, *, longest: float = np.inf, may_be_late: bool = False) -> QuadraticProgram:
+        """The program whose solution is the best step for the duration.
 
         Parameters
         ----------
         slack_price: of a missed metre, as a part of the cost.
-        bend: how the cost changes with the control points that may move, and with T; None if it is the duration.
-        longest: longest T [s], with a bend; if T is longer, it does not grow.
+        longest: longest T [s]; if T is longer, it does not grow.
+        may_be_late: whether T may stay longer than the longest.
         """
-        plain = self._plain(slack_price, longest=longest, late=bend is not None)
-        if bend is None:
-            return plain
-        kinks = self._near_kinks(bend).all_crossed()
-        return NearRows(plain).all_with(_bent(_smooth(plain, bend), kinks, kinks.variables()))
-
-    def _plain(self, slack_price: float, *, longest: float, late: bool) -> QuadraticProgram:
-        """The program for the duration; T may be `late`, longer than the longest, for another cost."""
         T = self._T
         f = np.zeros(self._steps + 2)
         f[-2], f[-1] = 1.0 / T, slack_price
@@ -235,7 +227,7 @@ class LinearModel:
         limits, now = self._problem.limits, self._curve.control[self._moving].ravel()
         lower, upper = (np.tile(bound, self._points) - now for bound in (limits.lower, limits.upper))
         # the price of being late holds only while T is longer than the longest
-        least = longest - T if late and longest < T else -0.5 * T
+        least = longest - T if may_be_late and longest < T else -0.5 * T
         low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [least, 0.0]))
         high = np.concatenate(
             (np.maximum(np.minimum(self._box, upper), 0.0), [min(2.0 * T, max(longest - T, 0.0)), 1.0])
@@ -245,15 +237,16 @@ class LinearModel:
     def best_step(
         self, slack_price: float, *, bend: Bend | None, longest: float = np.inf, most_iterations: int
     ) -> Vector | None:
-        """The solution of the program, or None if there is none; parameters as for `program`.
+        """The best step, or None if there is none; parameters as for `program`.
 
-        With a bend it is solved first without a variable for any kink, and again if the step crosses some. As each
-        solution may cross others, the result is the part of one solution that costs least with all kinks. If no part
-        costs less than no step, more kinks get variables.
+        The bend says how the cost changes with the control points that may move, and with T; it is None if the cost is
+        the duration. With a bend the program is solved first without a variable for any kink, and again if the step
+        crosses some. As each solution may cross others, the result is the part of one solution that costs least with
+        all kinks. If no part costs less than no step, more kinks get variables.
         """
         if bend is None:
             return solve_with_near_rows(self.program(slack_price, longest=longest), most_iterations=most_iterations)
-        plain = self._plain(slack_price, longest=longest, late=True)
+        plain = self.program(slack_price, longest=longest, may_be_late=True)
         rows, smooth, kinks = NearRows(plain), _smooth(plain, bend), self._near_kinks(bend)
         m, count = self._steps + 1, self._steps + 2
         best, least, start = None, np.inf, None

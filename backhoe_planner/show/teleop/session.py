@@ -43,6 +43,7 @@ AT_REST = 1e-9  # rad/s or m/s: chosen, less than this is rounding
 _LONGEST_RECORDING = 600.0  # s: chosen, 120,000 samples in the file
 _FULL = 0.8  # part of oil flow and power that wishes may use; chosen, lever arms of cylinders change during a motion
 _PATIENCE = 5.0  # s to come to rest, after which a recording ends anyway; chosen, evading may prevent rest
+_WATCHDOG = 0.4  # s without a wish after which the machine stops; chosen, a network may hold one back for so long
 _UPRIGHT = 0.99  # least absolute z of an axis that counts as vertical; chosen, 8 degrees
 
 
@@ -124,8 +125,7 @@ class Session:
     ----------
     robot, scene: the machine, and the site with the start. The scene's task is not used.
     dt: length of a step [s].
-    watchdog: the machine stops if no wish came for this long [s].
-    now: the clock of the watchdog [s].
+    now: the clock of the watchdog, which stops the machine if no wish came for a while [s].
 
     Raises
     ------
@@ -138,7 +138,6 @@ class Session:
         scene: Scene,
         *,
         dt: float = 0.005,
-        watchdog: float = 0.4,
         now: Callable[[], float] = clock.monotonic,
     ) -> None:
         if scene.start is None:
@@ -150,7 +149,7 @@ class Session:
         feedback = Feedback(dt, largest=LARGEST_FORCE)
         on_site = joints_on_site(robot, scene)
         self._drive = Drive(on_site, effort=scaled_limits(on_site, scene).effort, payload=scene.payload)
-        self._servo = Servo(robot, scene, dt, watchdog=watchdog, feedback=feedback, load=self._load)
+        self._servo = Servo(robot, scene, dt, watchdog=_WATCHDOG, feedback=feedback, load=self._load)
         self.robot, self.scene, self.dt = self._servo.robot, scene, dt
         self._site = LiveSite(self._servo)
         self._changes_by_itself = any(one.moves or one.appears_at > 0.0 for one in self._site.obstacles)
@@ -162,7 +161,7 @@ class Session:
         self._next_page = 1
         self._wish: Wish | None = None
         self._held: Wish | None = None
-        self._now, self._watchdog = now, watchdog
+        self._now = now
         self._wished_at = now()
         self._failure = ""
         self._upright, self._axis_at = _first_axis(self.robot)
@@ -327,7 +326,7 @@ class Session:
     def _held_wish(self, wish: Wish | None) -> Wish | None:
         """The given wish, otherwise the last one; once the watchdog's time is over, the wish to stop."""
         self._held = wish or self._held
-        if self._held is not None and self._now() - self._wished_at >= self._watchdog:
+        if self._held is not None and self._now() - self._wished_at >= _WATCHDOG:
             self._held = Stop(type="stop")
         return self._held
 

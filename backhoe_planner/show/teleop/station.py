@@ -89,7 +89,6 @@ class TeleopStation:
     robot, scene: the machine, and the site with the start.
     host, port, password, allow_anyone: see `LiveServer`.
     output: file for recordings. It is never overwritten: further recordings get a number.
-    dt: length of a step [s].
     say: called with messages about recordings, in words, from another thread.
 
     Attributes
@@ -114,12 +113,11 @@ class TeleopStation:
         password: str | None = None,
         allow_anyone: bool = False,
         output: str | Path = "teleop.json",
-        dt: float = 0.005,
         say: Callable[[str], None] | None = None,
     ) -> None:
         self._output = Path(output)
         check_record(self._output, (*robot.files, *scene.files))
-        self.session = Session(robot, scene, dt=dt)
+        self.session = Session(robot, scene)
         self._server = TeleopServer(self.session, host=host, port=port, password=password, allow_anyone=allow_anyone)
         try:
             self._picture = Picture(self.session, self._server.display)

@@ -390,16 +390,3 @@ def test_a_geotiff_taken_during_a_job_in_map_coordinates_is_where_it_says(tmp_pa
     np.testing.assert_allclose(
         read_ground(job, tmp_path / "after.csv").terrain.surface, found.terrain.surface, atol=1e-9
     )
-
-
-def test_soil_for_which_the_bucket_has_no_room_is_spilt() -> None:
-    before = Terrain.level(0.0, (0.0, -2.0), (6.0, 2.0))
-    blade = BladeSweep(np.linspace([4.5, 0.0, -0.15], [3.0, 0.0, -0.15], 40), np.array([0.0, 1.0, 0.0]), 0.6)
-    found = swept(before, blade, room=0.12)
-    taken = 1.25 * 1.5 * 0.6 * 0.15
-    assert found.volume[-1] == pytest.approx(taken, rel=0.01)
-    assert found.held[-1] == 0.12
-    assert found.held[10] == found.volume[10]
-    assert found.spilt == pytest.approx(found.terrain.loose_volume, rel=1e-9)
-    assert found.volume[-1] == pytest.approx(0.12 + found.terrain.loose_volume, rel=1e-9)
-    assert found.terrain.loose[:, 55:65].sum() > 0.5 * found.terrain.loose.sum()  # about x = 3 m
