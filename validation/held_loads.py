@@ -16,7 +16,7 @@ from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Problem, Trajectory, leg_parts
 from validation.raw_urdf import RawMachine, read_raw_urdf
 
-_GRAVITY = 9.81  # m/s^2
+GRAVITY = 9.81  # m/s^2
 _STEP = 1e-5  # rad or m, of central differences: 1e-10 of a torque, and 1e-6 N m of rounding
 _AT_REST = 1e-9  # rad/s or m/s
 _SLACK = 0.0101  # part of a torque: the certificate accepts 1 %
@@ -58,7 +58,7 @@ def holding_torques(machine: RawMachine, robot: Robot, q: Vector, *, payload: fl
         joints = dict(zip(robot.joint_names, q.T, strict=True))
         placed = machine.placements(joints, len(q))
         height = [mass * ((placed[link][0] @ centre)[:, 2] + placed[link][1][:, 2]) for link, mass, centre in loads]
-        return np.asarray(_GRAVITY * np.sum(height, axis=0))
+        return np.asarray(GRAVITY * np.sum(height, axis=0))
 
     return _slopes(energy, q)
 

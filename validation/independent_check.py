@@ -1,4 +1,4 @@
-"""A second opinion on a motion: distances without coal, ten times finer in time, and loads by virtual work.
+"""A second opinion on a motion: distances without coal, ten times finer in time, and loads and rates from the URDF.
 
 Every link's collision shape, as read from the URDF itself, is covered with points; each
 obstacle is a signed distance function of this package. The least value over all points
@@ -24,6 +24,7 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import self_pairs, self_pieces
 from validation.held_loads import unheld_loads
+from validation.motion_loads import motion_contradictions
 from validation.signed_distances import SignedDistance, obstacle_distance
 from validation.surfaces import BRANCHES, Cover, Solid, link_shapes
 
@@ -85,6 +86,7 @@ def refutations(plan: bp.Plan, *, refine: int = 10, itself: bool = True) -> list
         return allowed if obstacle.startswith("self: ") else max(allowed, claimed)
 
     found = unheld_loads(plan.problem, plan.trajectory) if plan.verified else []
+    found += motion_contradictions(plan)
     for least in _search(plan, refine=refine, itself=itself, floor=floor):
         where = f"{least.link} is {least.distance:.5f} m from {least.obstacle} at {least.time:.3f} s"
         claim = proven.get(least.obstacle, -np.inf)

@@ -78,13 +78,17 @@ class RawJoint:
 class RawMachine:
     """The links with their shapes, and the joints with parents first.
 
-    `masses` has the mass [kg] of each link that has one, and (3,) its centre in the frame of the link [m].
+    `masses` has the mass [kg] of each link that has one, and (3,) its centre in the frame of the link [m]; `inertias`
+    the moments of inertia (3, 3) of these links about that centre, along the axes of the frame [kg m^2]. `limits` has
+    the numbers of the ``<limit>`` of each joint that has one.
     """
 
     root: str
     shapes: dict[str, tuple[RawShape, ...]]
     joints: tuple[RawJoint, ...]
     masses: dict[str, tuple[float, Vector]]
+    inertias: dict[str, Matrix]
+    limits: dict[str, dict[str, float]]
 
     @cached_property
     def joint_above(self) -> dict[str, RawJoint]:
@@ -149,12 +153,19 @@ def read_raw_urdf(
     robot = ET.parse(file).getroot()
     shapes: dict[str, tuple[RawShape, ...]] = {}
     masses: dict[str, tuple[float, Vector]] = {}
+    inertias: dict[str, Matrix] = {}
     for link in robot.findall("link"):
         name, inertial = link.attrib["name"], link.find("inertial")
         shapes[name] = tuple(_shape(one, file, find_mesh) for one in link.findall("collision"))
         if inertial is not None:
-            masses[name] = float(_child(inertial, "mass").attrib["value"]), _origin(inertial)[1]
+            turn, centre = _origin(inertial)
+            masses[name] = float(_child(inertial, "mass").attrib["value"]), centre
+            inertias[name] = turn @ _inertia(inertial) @ turn.T
     elements = {element.attrib["name"]: element for element in robot.findall("joint")}
+    limits = {
+        name: {key: float(word) for key, word in limit.attrib.items()}
+        for name, element in elements.items() if (limit := element.find("limit")) is not None
+    }  # fmt: skip
     joints = [_joint(element, *_rest(elements, name, hold)) for name, element in elements.items()]
     children = {joint.child for joint in joints}
     root = next(name for name in shapes if name not in children)
@@ -164,7 +175,7 @@ def read_raw_urdf(
         below = [joint for joint in joints if joint.parent == name]
         ordered += below
         reached += [joint.child for joint in below]
-    return RawMachine(root, shapes, tuple(ordered), masses)
+    return RawMachine(root, shapes, tuple(ordered), masses, inertias, limits)
 
 
 def _rest(elements: Mapping[str, ET.Element], name: str, hold: Mapping[str, float]) -> tuple[float, bool]:
@@ -229,6 +240,14 @@ def _child(element: ET.Element, tag: str) -> ET.Element:
     found = element.find(tag)
     assert found is not None, tag
     return found
+
+
+def _inertia(inertial: ET.Element) -> Matrix:
+    """(3, 3) the moments of inertia of a link, along its inertial axes [kg m^2]; zeros if none are given."""
+    given = inertial.find("inertia")
+    if given is None:
+        return np.zeros((3, 3))
+    return np.array([[float(given.attrib["i" + min(a + b, b + a)]) for b in "xyz"] for a in "xyz"])
 
 
 def _numbers(element: ET.Element, key: str) -> Vector:
