@@ -1,4 +1,4 @@
-"""Two motions joined without a stop: the sum of both while both move, slowed only where it exceeds a limit."""
+"""Two motions joined with a stop, and without one: the sum of both while both move, slowed where it exceeds a limit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, overlap, slow_where_needed
+from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, append_motion, overlap, slow_where_needed
 
 
 def ramp(time: Vector) -> Vector:
@@ -27,6 +27,25 @@ def limits(velocity: float, acceleration: float) -> JointLimits:
     return JointLimits(
         lower=-9.0 * one, upper=9.0 * one, velocity=velocity * one, acceleration=acceleration * one, effort=one
     )
+
+
+@pytest.mark.parametrize(
+    ("rest", "time", "q"),
+    [
+        ([], [0.0, 1.0, 2.0, 4.0, 5.0], [0.0, 0.5, 1.0, 2.0, 2.5]),
+        ([0.25], [0.0, 1.0, 2.0, 2.25, 4.25, 5.25], [0.0, 0.5, 1.0, 1.0, 2.0, 2.5]),
+        ([0.25, 0.75], [0.0, 1.0, 2.0, 2.25, 2.75, 4.75, 5.75], [0.0, 0.5, 1.0, 1.0, 1.0, 2.0, 2.5]),
+    ],
+)
+def test_with_a_stop_the_second_motion_begins_at_the_last_sample_at_rest(
+    rest: list[float], time: list[float], q: list[float]
+) -> None:
+    first = Trajectory.from_steps(np.array([0.0, 1.0, 2.0]), np.array([[0.0], [0.5], [1.0]]), begins=(0, 1))
+    second = Trajectory.from_steps(np.array([0.0, 2.0, 3.0]), np.array([[1.0], [2.0], [2.5]]))
+    joined = append_motion(first, second, rest=rest)
+    assert joined.time.tolist() == time
+    assert joined.q[:, 0].tolist() == q
+    assert joined.begins == (0, 1)
 
 
 @pytest.mark.parametrize("duration", [0.3, 0.313])

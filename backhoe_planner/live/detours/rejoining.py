@@ -17,7 +17,16 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.digits import length_text
 from backhoe_planner.machine import JointLimits, Robot
-from backhoe_planner.motion import OBJECTIVES, Problem, SmoothWay, Trajectory, drive_of, keep_of, time_way
+from backhoe_planner.motion import (
+    OBJECTIVES,
+    Problem,
+    SmoothWay,
+    Trajectory,
+    append_motion,
+    drive_of,
+    keep_of,
+    time_way,
+)
 from backhoe_planner.planning import (
     EFFORTS,
     Brake,
@@ -264,8 +273,7 @@ class _Search:
             return motion
         times = np.linalg.norm(np.diff(back, axis=0) / limits.velocity, axis=1)
         first = time_way(SmoothWay(back, np.array([0.0, *times]), np.zeros(2)), limits, drive=drive)
-        pause = first.duration + _PAUSE
-        return Trajectory.from_steps(np.concatenate((first.time, pause + motion.time)), np.vstack((first.q, motion.q)))
+        return append_motion(first, motion, rest=[_PAUSE])
 
     def _retreat(self, q: Vector) -> Vector:
         """(n,) a posture near q with more room, if q has little: there the servo only lets the machine move away."""

@@ -1,6 +1,7 @@
-"""Two motions joined without a stop.
+"""Two motions joined, with a stop between them or without one.
 
-The second begins while the first still slows down. During the time tau in which both move, the joints are at
+Without a stop, the second begins while the first still slows down. During the time tau in which both move, the joints
+are at
 
     q(t) = q_1(t) + q_2(t - t_2) - q_E,        t_2 = T_1 - tau,
 
@@ -10,6 +11,8 @@ joints do not pass through q_E: the shorter tau, the nearer they come.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,6 +30,22 @@ _ELSEWHERE = 0.999  # chosen, so that a motion at its limits counts as within th
 _BESIDE = 3  # samples before and behind an excess that are slowed too; chosen
 _WITHIN = 1e-7  # part of a limit: rounding
 _ROUNDING = 1e-9  # s
+
+
+def append_motion(first: Trajectory, second: Trajectory, *, rest: Sequence[float] | Vector = ()) -> Trajectory:
+    """The first motion, then the second, with a stop between them; of the first, the beginnings of legs are kept.
+
+    Parameters
+    ----------
+    first, second: from rest to rest; the second begins where the first ends.
+    rest: samples at which the machine rests, in time after the end of the first motion [s], ascending; the second
+        motion begins at the last of them, or, without any, where the first ends.
+    """
+    rests = first.time[-1] + np.asarray(rest, dtype=float)
+    begins = float(rests[-1]) if len(rests) else float(first.time[-1])
+    q = np.vstack((first.q, np.repeat(first.q[-1:], max(len(rests) - 1, 0), axis=0), second.q[not len(rests) :]))
+    time = np.concatenate((first.time, rests[:-1], begins + second.time[not len(rests) :]))
+    return Trajectory.from_steps(time, q, begins=first.begins)
 
 
 def overlap(first: Trajectory, second: Trajectory, duration: float) -> tuple[Trajectory, slice]:

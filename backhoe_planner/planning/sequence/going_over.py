@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.machine import BatchKinematics, Kinematics
-from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, overlap, slow_where_needed
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, append_motion, overlap, slow_where_needed
 from backhoe_planner.planning.sequence.leg import DoneLeg, join
 from backhoe_planner.proof import certify_motion, machine_uses
 
@@ -60,11 +60,8 @@ def rests_between(before: DoneLeg, leg: DoneLeg) -> int:
 
 def _after_a_stop(whole: Trajectory, motion: Trajectory, rests: int) -> Trajectory:
     """The whole motion with one more leg, which begins in the middle of so many samples at rest."""
-    pause = SAMPLE_PERIOD * np.arange(1, rests + 1)
-    begins = whole.duration + rests * SAMPLE_PERIOD
-    time = np.concatenate((whole.time, whole.duration + pause, begins + motion.time[1:]))
-    q = np.vstack((whole.q, *[whole.q[-1:]] * rests, motion.q[1:]))
-    return Trajectory.from_steps(time, q, begins=(*whole.begins, len(whole) - 1 + rests // 2))
+    joined = append_motion(whole, motion, rest=[SAMPLE_PERIOD * number for number in range(1, rests + 1)])
+    return replace(joined, begins=(*whole.begins, len(whole) - 1 + rests // 2))
 
 
 def _keeps_limits(motion: Trajectory, first: Problem, second: Problem) -> bool:

@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Goal, Keep, drive_of
+from backhoe_planner.motion import Goal, Keep
 from backhoe_planner.planning.goals.goal_postures import find_goal_postures
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.sequence.leg import Leg, posture_goal
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
-from backhoe_planner.planning.world.holding import holds_load
+from backhoe_planner.planning.world.holding import holding_use, is_held
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
 
@@ -59,9 +59,8 @@ def ending_where_held(legs: Sequence[Leg], ready: Sequence[Leg], start: Vector, 
             postures = find_goal_postures(world, problem.goals, near=near, time=0.0)
             if not isinstance(postures, Outcome):
                 q = np.array(postures.clear)
-                held = np.all([holds_load(leg.problem, q) for leg in after], axis=0)
-                use = np.max([drive_of(leg.problem).static_use(q).max(axis=1) for leg in after], axis=0)
-                roomiest = q[np.argsort(use, kind="stable")]
+                use = np.max([holding_use(leg.problem, q) for leg in after], axis=0)
+                held, roomiest = is_held(use), q[np.argsort(use, kind="stable")]
                 if held.any() and not held.all():
                     count = -(-int(np.count_nonzero(held)) // 2)
                     goals = tuple(posture_goal(problem, one) for one in roomiest[: min(count, _MOST_POSTURES)])

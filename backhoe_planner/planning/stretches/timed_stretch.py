@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Problem, TipPath, Trajectory
+from backhoe_planner.motion import Problem, TipPath, Trajectory, append_motion
 from backhoe_planner.planning.stretches.corners import round_corners, time_stretch
 from backhoe_planner.planning.stretches.stretch import Stretch
 from backhoe_planner.site import Proximity
@@ -51,12 +51,8 @@ def time_rounded(
 
 def join_motions(motions: Sequence[Trajectory]) -> Trajectory:
     """Motions from rest to rest, one after the other; the machine rests for one step between them."""
-    times, places = [motions[0].time], [motions[0].q]
+    whole = motions[0]
     for motion in motions[1:]:
-        if len(motion) < 2:
-            continue
-        end = times[-1][-1] + (times[-1][-1] - times[-1][-2] if len(times[-1]) > 1 else 0.0)
-        stands = end > times[-1][-1]
-        times.append(end + motion.time[0 if stands else 1 :])
-        places.append(motion.q[0 if stands else 1 :])
-    return Trajectory.from_steps(np.concatenate(times), np.vstack(places))
+        if len(motion) > 1:
+            whole = append_motion(whole, motion, rest=np.diff(whole.time[-2:]))
+    return whole

@@ -24,10 +24,18 @@ def unheld_load(problem: Problem, q: Vector) -> LimitUse | None:
 
 def holds_load(problem: Problem, q: Matrix) -> Flags:
     """(N,) in which of the configurations `q` (N, n) [rad or m] every joint holds arm and payload at rest."""
+    return is_held(holding_use(problem, q))
+
+
+def holding_use(problem: Problem, q: Matrix) -> Vector:
+    """(N,) the greatest torque of a joint that holds arm and payload at rest at `q` (N, n), over what it can."""
     drive = drive_of(problem)
-    if not drive.limited:
-        return np.ones(len(q), dtype=bool)
-    return np.asarray(np.max(drive.static_use(q), axis=1) <= 1.0 + DRIVE_TOLERANCE)
+    return np.asarray(np.max(drive.static_use(q), axis=1)) if drive.limited else np.zeros(len(q))
+
+
+def is_held(use: Vector) -> Flags:
+    """(N,) for which uses (N,) of the joints by the load, see `holding_use`, the certificate says that they hold it."""
+    return np.asarray(use <= 1.0 + DRIVE_TOLERANCE)
 
 
 def largest_payload(problem: Problem, q: Vector) -> float | None:
