@@ -86,6 +86,17 @@ class SafeVelocity(NamedTuple):
     end: Vector | None
 
 
+class _NotClear(NamedTuple):
+    """A velocity (n,) [rad/s or m/s] whose path is not proven clear after the last correction.
+
+    Also the clearance of that path, and whether something that moves is in the way.
+    """
+
+    v: Vector
+    clearance: PathClearance
+    evading: bool
+
+
 def velocity_program(
     wish: VelocityWish,
     target: Vector,
@@ -227,18 +238,29 @@ class VelocityFilter:
         """The velocity nearest to the wish whose braking path is proven clear; braking if there is none."""
         if len(self._bounds.inside) or self._recovery.held_outside(state.q):
             return self._recover(state, wish, near)
-        check, (low, high, *_) = self._check, wish.range
-        awake = check.awake(state, wish.range.look)
+        low, high, *_ = wish.range
+        awake = self._check.awake(state, wish.range.look)
         self.evasion = self._evasion.find(near, low, high, wish.kept)
-        evasion, early, _ = self.evasion
         if wish.kept is not None:
-            wish = wish._replace(kept=wish.kept._replace(early=early))
+            wish = wish._replace(kept=wish.kept._replace(early=self.evasion.early))
+        torn = self._is_torn(awake)
+        found = self._corrected(state, wish, awake, torn=torn)
+        return found if isinstance(found, SafeVelocity) else self._partly(state, wish, awake, found, torn=torn)
+
+    def _is_torn(self, awake: Awake) -> bool:
+        """Whether something moves that may demand a velocity which something at rest forbids."""
+        bounds = self._bounds
+        return bounds.anything_moves and (
+            len(self.evasion.rows.h) > 0 or int(np.count_nonzero(bounds.stands.take(awake.pairs))) < len(awake.pairs)
+        )
+
+    def _corrected(
+        self, state: JointState, wish: VelocityWish, awake: Awake, *, torn: bool
+    ) -> SafeVelocity | _NotClear:
+        """The velocity nearest to the wish, corrected by the rows of its path until that is clear."""
+        check, evasion = self._check, self.evasion.rows
         held_back = evading = False
         straight = None
-        # a moving obstacle may demand a velocity that a static one forbids
-        torn = self._bounds.anything_moves and (
-            len(evasion.h) > 0 or int(np.count_nonzero(self._bounds.stands.take(awake.pairs))) < len(awake.pairs)
-        )
         held = self._held_as_before(state, wish, evasion, torn=torn)
         if held is not None:
             # what held the machine back a step ago mostly still does: the path at the wish need not be checked first
@@ -271,12 +293,19 @@ class VelocityFilter:
             v = nearer
         if straight is not None:  # only the buffer is missing, and demanding it found nothing better
             return self._accept(straight[0], awake, straight[1], evading=evading)
+        return _NotClear(v, found, evading)
+
+    def _partly(
+        self, state: JointState, wish: VelocityWish, awake: Awake, missed: _NotClear, *, torn: bool
+    ) -> SafeVelocity:
+        """The part of the way from braking to a velocity at which what stands is clear; braking if there is none."""
+        (v, found, evading), (low, high, *_) = missed, wish.range
         brake = self._braking(state.v)
         brakes = torn and np.abs(v - brake).max() < _UNCHANGED  # that path was checked last
         blend = 0.0 if brakes else self._part_of_the_way(awake, found)
         for part in (_SURE * blend, _SURER * blend) if blend > _LEAST_BLEND else ():
-            path = check.path(state.q, np.minimum(np.maximum(brake + part * (v - brake), low), high))
-            found = check.clearance(awake, path)
+            path = self._check.path(state.q, np.minimum(np.maximum(brake + part * (v - brake), low), high))
+            found = self._check.clearance(awake, path)
             if found.stands_clear:
                 return self._accept(path, awake, found, evading=evading)
         return SafeVelocity(self._joints.brake(state.v), True, evading, None)
