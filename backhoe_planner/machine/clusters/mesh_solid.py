@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
 from backhoe_planner.machine.clusters.cell_tree import CellTree
 from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame
@@ -17,6 +16,7 @@ from backhoe_planner.machine.clusters.solid import Placed, clustered
 from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.clusters.trees import Reading, Tree, surface_tree
 from backhoe_planner.machine.shape.closed_bodies import ClosedBodies
+from backhoe_planner.machine.shape.convex import too_fine
 
 if TYPE_CHECKING:
     import trimesh
@@ -55,10 +55,7 @@ class MeshSolid:
 
     def __init__(self, mesh: trimesh.Trimesh, *, most: int) -> None:
         if len(mesh.faces) > most:
-            raise InputError(
-                "is too fine to plan with", found=f"{len(mesh.faces)} triangles", allowed=f"up to {most}",
-                hint="use a coarser mesh",
-            )  # fmt: skip
+            raise too_fine(f"{len(mesh.faces)} triangles", most, hint="use a coarser mesh")
         self._vertices = np.asarray(mesh.vertices, dtype=float)
         self._faces = np.asarray(mesh.faces, dtype=np.intp)
         self._corners = self._vertices[self._faces]

@@ -18,13 +18,13 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
 from backhoe_planner.machine.clusters.distance_grid import GridFrame
 from backhoe_planner.machine.clusters.height_bounds import REACH, HeightBounds
 from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import HeightMap, Placed
 from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, surface_tree
+from backhoe_planner.machine.shape.convex import too_fine
 from backhoe_planner.machine.shape.shapes import sphere
 from backhoe_planner.native import compiled
 
@@ -59,10 +59,7 @@ class TerrainSolid:
     def __init__(self, heights: Matrix, size: tuple[float, float], *, depth: float, most: int) -> None:
         rows, columns = heights.shape
         if (rows - 1) * (columns - 1) > most:
-            raise InputError(
-                "is too fine to plan with", found=f"{(rows - 1) * (columns - 1)} cells", allowed=f"up to {most}",
-                hint="use a coarser resolution",
-            )  # fmt: skip
+            raise too_fine(f"{(rows - 1) * (columns - 1)} cells", most)
         self._heights, self._size, self._depth, self._most = heights, size, depth, most
         self._low = np.array([-0.5 * size[0], -0.5 * size[1]])
         self._cell = np.array([size[0] / (columns - 1), size[1] / (rows - 1)])

@@ -18,6 +18,7 @@ from backhoe_planner.machine.clusters.link_box import LinkReach
 from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.clusters.trees import Reading, Tree, voxel_tree
+from backhoe_planner.machine.shape.convex import too_fine
 
 Keys = NDArray[np.int64]
 """(n, 3) the lowest corner of each voxel, in multiples of its edge."""
@@ -98,10 +99,7 @@ class VoxelSolid:
 
     def __init__(self, keys: Keys, edge: float, *, most: int) -> None:
         if len(keys) > most:
-            raise InputError(
-                "is too fine to plan with", found=f"{len(keys)} voxels", allowed=f"up to {most}",
-                hint="use a coarser resolution",
-            )  # fmt: skip
+            raise too_fine(f"{len(keys)} voxels", most)
         low, high = keys.min(axis=0), keys.max(axis=0) + 1
         if (high - low).max() > _WIDEST:
             raise _too_wide(keys, edge)

@@ -264,17 +264,13 @@ def voxel_boxes(points: Matrix, resolution: float, *, most: int | None = None) -
     for axis in range(3):
         corner, extent = _merged_along(corner, extent, axis)
     if most is not None and len(corner) > most:
-        raise _too_fine(str(len(corner)), most)
+        raise too_fine(f"{len(corner)} convex pieces", most)
     return list(zip(resolution * (corner + 0.5 * extent), resolution * extent, strict=True))
 
 
-def _too_fine(count: str, most: int) -> InputError:
-    return InputError(
-        "is too fine to plan with",
-        found=f"{count} convex pieces",
-        allowed=f"up to {most}",
-        hint="use a coarser resolution",
-    )
+def too_fine(found: str, most: int, *, hint: str = "use a coarser resolution") -> InputError:
+    """The error for a solid of more parts than can be planned with, such as `found` "7000 voxels" of at `most` 5000."""
+    return InputError("is too fine to plan with", found=found, allowed=f"up to {most}", hint=hint)
 
 
 def _merged_along(corner: Cells, extent: Cells, axis: int) -> tuple[Cells, Cells]:
@@ -327,7 +323,7 @@ def terrain_columns(
             stack += _halves(block)
             continue
         if most is not None and len(found) == most:
-            raise _too_fine(f"more than {most}", most)
+            raise too_fine(f"more than {most} convex pieces", most)
         base = top.copy()
         base[:, 2] = floor
         around = hull(np.vstack((top, base)))
@@ -355,7 +351,7 @@ def _split_hollow_blocks(heights: Matrix, tolerance: float, most: int | None) ->
             continue
         found.append(block)
         if most is not None and len(found) > most:
-            raise _too_fine(f"more than {most}", most)
+            raise too_fine(f"more than {most} convex pieces", most)
     return found
 
 

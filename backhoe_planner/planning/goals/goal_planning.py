@@ -14,6 +14,7 @@ from backhoe_planner.planning.goals.allowed_time import bound_for_allowed_time
 from backhoe_planner.planning.goals.goal_postures import GoalPostures, aimed, find_goal_postures
 from backhoe_planner.planning.goals.only_way import blocked_way
 from backhoe_planner.planning.goals.searches import Searched, search_motion
+from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
@@ -67,26 +68,17 @@ class ToGoal:
             return replace(blocked, trajectory=stepper.trajectory())
         searched = search_motion(world, stepper.q, found, self.goals, time=stepper.time)
         searched = _ending_where_held(world, stepper, found, searched)
-        best, ended = searched.best, searched.ended
-        if best is not None:
-            branch = stepper.branch(attempt=stepper.attempt + 1)
-            branch.play(best.motion)
-            message = f"{ended}; the search for a better motion was not finished" if ended else ""
-            allowed = searched.allowed_time
-            if allowed is not None:
-                allowed = min(stepper.time + allowed, world.problem.max_duration)
-            # beside obstacles that move, or with a limit of the tip's speed, it would not be as fast
-            fast = None if world.problem.is_dynamic or world.problem.tip_speed is not None else searched.fast
-            findings = Findings(
-                way=best.way, allowed_time=allowed, left_out=found.left_out,
-                fast=None if fast is None else FastMotion(duration=fast.motion.duration, cost=fast.cost),
-            )  # fmt: skip
-            return Outcome(branch.trajectory(), message=message, findings=findings)
+        if searched.best is not None:
+            return _searched_outcome(world, stepper, found, searched, searched.best)
         sampled = _describe_search(world, searched)
-        if self.search_alone or ended:
-            reason: Reason = "budget" if ended else "blocked"
-            message = f"{ended}; {sampled}" if ended else sampled
+        if self.search_alone or searched.ended:
+            reason: Reason = "budget" if searched.ended else "blocked"
+            message = f"{searched.ended}; {sampled}" if searched.ended else sampled
             return Outcome(stepper.trajectory(), reason, message, Findings(left_out=found.left_out))
+        return self._by_law_instead(world, stepper, found, sampled)
+
+    def _by_law_instead(self, world: World, stepper: Stepper, found: GoalPostures, sampled: str) -> Outcome:
+        """A motion by the law where a search has found none, for the reason `sampled`."""
         exact = self._found_exactly(world, stepper, found)
         if isinstance(exact, Outcome):  # there are postures within a tolerance, but no position that the law can aim at
             return Outcome(stepper.trajectory(), "blocked", sampled, Findings(left_out=found.left_out))
@@ -213,6 +205,25 @@ def _ending_where_held(world: World, stepper: Stepper, found: GoalPostures, sear
         return searched
     again = search_motion(fixed, stepper.q, ends, goals, time=stepper.time)
     return searched if again.best is None else again
+
+
+def _searched_outcome(
+    world: World, stepper: Stepper, found: GoalPostures, searched: Searched, best: FoundMotion
+) -> Outcome:
+    """The best motion of a search, with what was found about it."""
+    branch, problem = stepper.branch(attempt=stepper.attempt + 1), world.problem
+    branch.play(best.motion)
+    message = f"{searched.ended}; the search for a better motion was not finished" if searched.ended else ""
+    allowed = searched.allowed_time
+    if allowed is not None:
+        allowed = min(stepper.time + allowed, problem.max_duration)
+    # beside obstacles that move, or with a limit of the tip's speed, it would not be as fast
+    fast = None if problem.is_dynamic or problem.tip_speed is not None else searched.fast
+    findings = Findings(
+        way=best.way, allowed_time=allowed, left_out=found.left_out,
+        fast=None if fast is None else FastMotion(duration=fast.motion.duration, cost=fast.cost),
+    )  # fmt: skip
+    return Outcome(branch.trajectory(), message=message, findings=findings)
 
 
 def _describe_search(world: World, searched: Searched) -> str:

@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, step_lengths
 from backhoe_planner.planning.search.effort import Brake
@@ -83,9 +83,7 @@ def smooth_stretch(
         bad |= _margins(proximity, moved, time, floor=floor) < floor
         bad |= bounds.broken(moved) & ~held
         if not bad.any() and _cost(weights, moved) < cost:
-            clear = [path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(moved)]
-            bad[:-1] |= ~np.array(clear)
-            bad[1:] |= ~np.array(clear)
+            bad |= _beside_blocked(proximity, moved, time)
             if not bad.any():
                 before, q, cost = cost, moved, _cost(weights, moved)
                 floor = np.maximum(floor, margins_to_keep(_margins(proximity, q, time)))
@@ -93,13 +91,24 @@ def smooth_stretch(
                 if before - cost < ENOUGH * cost:
                     break
                 continue
-        scale = np.concatenate((weights[:1], np.maximum(weights[1:], weights[:-1]), weights[-1:]))
-        near = bad.copy()
-        near[:-1] |= bad[1:]
-        near[1:] |= bad[:-1]
-        rises = near if bad.any() else np.ones(len(q), dtype=bool)
-        price = np.where(rises, np.maximum(10.0 * price, 0.1 * scale), price)
+        price = _raised(price, weights, bad)
     return Stretch(stretch.stations, q)
+
+
+def _beside_blocked(proximity: Proximity, q: Matrix, time: float) -> Flags:
+    """(K,) which of the samples q (K, n) are at an end of a segment that is not clear."""
+    blocked = np.array([not path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(q)])
+    return np.asarray(np.append(blocked, False) | np.append(False, blocked))
+
+
+def _raised(price: Vector, weights: Vector, bad: Flags) -> Vector:
+    """(K,) the prices of moving samples, raised at and beside the `bad` ones (K,); at all samples if none is bad."""
+    scale = np.concatenate((weights[:1], np.maximum(weights[1:], weights[:-1]), weights[-1:]))
+    near = bad.copy()
+    near[:-1] |= bad[1:]
+    near[1:] |= bad[:-1]
+    rises = near if bad.any() else np.ones(len(bad), dtype=bool)
+    return np.where(rises, np.maximum(10.0 * price, 0.1 * scale), price)
 
 
 def margins_to_keep(margins: Vector) -> Vector:
