@@ -37,16 +37,10 @@ class Dynamics:
     def __init__(
         self, robot: Robot, *, payload: float = 0.0, payload_at: Sequence[float] | Vector | None = None
     ) -> None:
-        self._model = robot.model.copy()
-        if payload > 0.0:
-            frame = self._model.frames[robot.tip_frame]
-            centre = np.zeros(3) if payload_at is None else np.array(payload_at, dtype=float)
-            load = pin.Inertia(payload, centre, np.zeros((3, 3)))
-            self._model.appendBodyToJoint(frame.parentJoint, load, frame.placement)
+        at = None if payload_at is None else tuple(map(float, payload_at))
+        self._model, self._chain = _loaded(robot, float(payload), at)
         self._data = self._model.createData()
         self._tip = robot.tip_frame
-        # for many moments; without the compiled functions Pinocchio is quicker, moment by moment
-        self._chain = Chain.of(robot, self._model) if is_compiled(chain_torques) else None
 
     def torques(self, q: Vector, v: Vector, a: Vector, *, tip_force: Vector | None = None) -> Vector:
         """(n,) joint torques or forces [N m or N] at positions q, velocities v and accelerations a (n,).
@@ -163,6 +157,22 @@ def _mirror(M: Array) -> None:
 def _below_diagonal(n: int) -> tuple[Indices, Indices]:
     rows, columns = np.tril_indices(n, -1)
     return rows, columns
+
+
+@lru_cache(maxsize=8)  # a plan needs the same some thirty times
+def _loaded(
+    robot: Robot, payload: float, payload_at: tuple[float, ...] | None
+) -> tuple[pin.Model, Chain | None]:  # fmt: skip
+    """The model with the payload, and its chain for many moments at once; both are to be read only.
+
+    Without the compiled functions Pinocchio is quicker, moment by moment, and there is no chain.
+    """
+    model = robot.model.copy()
+    if payload > 0.0:
+        frame = model.frames[robot.tip_frame]
+        centre = np.zeros(3) if payload_at is None else np.array(payload_at)
+        model.appendBodyToJoint(frame.parentJoint, pin.Inertia(payload, centre, np.zeros((3, 3))), frame.placement)
+    return model, Chain.of(robot, model) if is_compiled(chain_torques) else None
 
 
 def motion_energy(
