@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,11 @@ def shape_in_turn(
     return shapes[index % 3]
 
 
-def crowd(robot: Robot, count: int, seed: int, *, moving: bool) -> Proximity:
-    """Boxes, balls and capsules within and beyond a machine's reach, and a half-space above it."""
+def crowd(robot: Robot, count: int, seed: int, *, moving: bool, earlier: float = 0.0) -> Proximity:
+    """Boxes, balls and capsules within and beyond a machine's reach, and a half-space above it.
+
+    Those that move have appeared `earlier` by so much [s], as on the clock of a later leg of a sequence.
+    """
     rng = np.random.default_rng(seed)
     entries: list[dict[str, Any]] = [{"name": "roof", "shape": "halfspace", "point": [0, 0, 7], "normal": [0, 0, -1]}]
     for index in range(count):
@@ -37,7 +41,8 @@ def crowd(robot: Robot, count: int, seed: int, *, moving: bool) -> Proximity:
             shape |= {"velocity": rng.uniform(-1.0, 1.0, 3).tolist(), "appears_at": 0.5 * (index % 4)}
         entries.append({"name": f"o{index}", **shape})
     scene = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0, 0, 0]}}, "obstacles": entries}
-    return Proximity(robot, build_obstacles(scene_from_dict(scene), robot))
+    built = build_obstacles(scene_from_dict(scene), robot)
+    return Proximity(robot, [replace(one, appears_at=one.appears_at - earlier) if one.moves else one for one in built])
 
 
 def lead_at(robot: Robot, v: Vector) -> dict[str, Any]:

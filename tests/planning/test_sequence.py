@@ -391,3 +391,21 @@ def test_a_watcher_gets_the_best_cost_with_the_unit_of_each_leg(planar4: Robot) 
     assert plan(planar4, scene, effort="quick", watch=seen.append).verified
     assert {step.unit for step in seen if step.best is not None} == {"rad^2/s", "s"}
     assert all(step.unit == "" for step in seen if step.best is None)
+
+
+@pytest.mark.parametrize("first", [0.5, 5.0])
+def test_an_obstacle_that_moves_through_the_machine_in_a_later_leg_refutes_the_plan(
+    planar4: Robot, first: float
+) -> None:
+    """A ball of 0.3 m comes down from y = 10 m at 1 m/s on a link 8 cm wide that stands still: it touches at 9.66 s."""
+    fallen = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.5, 10.0, 0.0], "velocity": [0, -1, 0]}
+    joints = dict.fromkeys(planar4.joint_names, 0.0)
+    legs = [{"name": "wait", "wait": first}, {"name": "longer", "wait": 12.0 - first}]
+    legs.append({"name": "end", "goal": {"joints": joints}})
+    keys: dict[str, Any] = {"start": {"joints": joints}, "obstacles": [fallen], "clearance": 0.0}
+    found = plan(planar4, scene_of(*legs, **keys), effort="quick")
+    assert not found.verified
+    tightest = found.certificate.min_clearance
+    assert tightest is not None
+    assert tightest.margin == pytest.approx(-0.34, abs=0.01)
+    assert tightest.time >= 9.66

@@ -27,13 +27,13 @@ def rows_that_count(proximity: Proximity, plain: Nearby, lead: dict[str, Any], m
     return np.asarray((plain.margin <= margin) | ahead)
 
 
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize(("moving", "earlier"), [(False, 0.0), (True, 0.0), (True, 1.0)])
 @pytest.mark.parametrize("name", ["planar4", "backhoe", pytest.param("panda", marks=pytest.mark.long)])
 def test_rows_along_a_walk_equal_those_chosen_from_all_measured_pairs(
-    name: str, moving: bool, request: pytest.FixtureRequest
+    name: str, moving: bool, earlier: float, request: pytest.FixtureRequest
 ) -> None:
     robot: Robot = request.getfixturevalue(name)
-    proximity, oracle = crowd(robot, 40, 3, moving=moving), crowd(robot, 40, 3, moving=moving)
+    proximity, oracle = (crowd(robot, 40, 3, moving=moving, earlier=earlier) for _ in range(2))
     rng = np.random.default_rng(5)
     q, part, found, beyond = robot.random_q(rng), np.zeros(robot.n), 0, 0
     steps = 60
@@ -101,8 +101,9 @@ def test_a_step_is_unproven_for_the_pairs_whose_travel_bound_exceeds_their_margi
     assert min(none, some) > 10
 
 
-def test_no_pair_approaches_faster_than_its_bound(any_robot: Robot) -> None:
-    proximity = crowd(any_robot, 20, 4, moving=True)
+@pytest.mark.parametrize("earlier", [0.0, 3.0])
+def test_no_pair_approaches_faster_than_its_bound(any_robot: Robot, earlier: float) -> None:
+    proximity = crowd(any_robot, 20, 4, moving=True, earlier=earlier)
     rng = np.random.default_rng(8)
     slow = checked = 0
     for _ in range(20):

@@ -660,6 +660,15 @@ def test_an_obstacle_moves_from_the_time_it_appears(planar4: Robot) -> None:
     np.testing.assert_array_equal(proximity.obstacle_offset(0, 3.5), [0.0, -1.5, 0.0])
 
 
+@pytest.mark.parametrize("first", [0.0, 0.5])
+def test_an_obstacle_that_appeared_before_the_clock_began_is_where_it_is_by_then(planar4: Robot, first: float) -> None:
+    """As on the clock of a later leg of a sequence: after 2 s at 1 m/s it is at y = 1 and 0.66 m away."""
+    (obstacle,) = build(planar4, ball(2.5, 3.0, velocity=[0, -1, 0]))
+    proximity = Proximity(planar4, [replace(obstacle, appears_at=-2.0)], self_collision=False)
+    for time in (first, 0.25, 0.0):
+        assert by_link(proximity, STRETCHED, time=time)["link3"] == pytest.approx(0.66 - time, abs=1e-9)
+
+
 def test_a_stale_cache_does_not_hide_an_obstacle_that_moved_while_the_arm_was_at_rest(planar4: Robot) -> None:
     """Pink's cache is keyed on q alone and misses an obstacle that moves."""
     proximity = around(planar4, ball(2.5, 3.0, velocity=[0, -1, 0]))

@@ -127,6 +127,7 @@ class Proximity:
             robot, self._pieces, self._bodies, self._away, data=self._data, first=first[plain], second=self._body[plain]
         )
         self._time, self._q = 0.0, np.zeros(robot.n)  # for which obstacles and joints are placed
+        self._put_obstacles()
         self._known = KnownBounds(
             self.clearance, self.speed, self.appears_at,
             travel=self.travel, floor=self.floor, always=len(self.clusters),
@@ -563,16 +564,19 @@ class Proximity:
     def _place(self, q: Vector, time: float) -> None:
         self.cover_unchecked(q)
         if self._moving and time != self._time:
-            for index in self._moving:
-                shift = self.obstacle_offset(index, time)
-                first = int(self._first_body[index])
-                for body, piece in enumerate(self.obstacles[index].pieces, start=first):
-                    moved = pin.SE3(piece.placement.rotation, piece.placement.translation + shift)
-                    self._geometry.move(body, moved)
             self._time = time
+            self._put_obstacles()
         pin.computeJointJacobians(self.robot.model, self._data, q)
         self._q = q
         self._geometry.place()
+
+    def _put_obstacles(self) -> None:
+        """Move the obstacles that move to where they are at the present time."""
+        for index in self._moving:
+            shift = self.obstacle_offset(index, self._time)
+            first = int(self._first_body[index])
+            for body, piece in enumerate(self.obstacles[index].pieces, start=first):
+                self._geometry.move(body, pin.SE3(piece.placement.rotation, piece.placement.translation + shift))
 
     def _rows(
         self, measured: Indices, found: Matrix, reach: Vector, margin: float = np.inf, lead: Lead | None = None

@@ -20,6 +20,7 @@ from backhoe_planner.native import compiled
 
 _SKIN = 0.4  # m of travel after which pairs are selected anew; chosen, some ten steps of a quick motion
 _NONE: Indices = np.zeros(0, dtype=np.intp)
+_LONG = 1e6  # s; chosen, twelve days: no motion takes as long
 _SMALL = 400  # pairs; measured: bounding this many takes as long as maintaining a selection of them
 
 
@@ -242,8 +243,8 @@ class KnownBounds:
 
 
 def age(time: float, appears_at: Vector) -> Vector:
-    """(P,) how long ago obstacles appeared at `time` [s]."""
-    return np.maximum(time - np.maximum(appears_at, 0.0), 0.0)
+    """(P,) how long ago obstacles appeared at `time` [s]; at most `_LONG` for the machine itself."""
+    return np.maximum(time - np.maximum(appears_at, -_LONG), 0.0)
 
 
 @compiled

@@ -90,7 +90,7 @@ class SeparatingPlanes:
             normal, face = self._face(self._bodies[self._second[pair]], normals[row])
             speed = since = 0.0
             if self._moves[pair]:
-                speed, since = float(normal.dot(self._velocity[pair])), max(self._appears_at[pair], 0.0)
+                speed, since = float(normal.dot(self._velocity[pair])), self._appears_at[pair]
             if face + speed * (begun - since) - self.end_of_link(pair, normal) >= needed:
                 found.append(Plane(index, pair, normal, face + speed * (ended - since) - needed))
         return found
