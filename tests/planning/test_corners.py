@@ -121,6 +121,12 @@ def zigzag(robot: bp.Robot, teeth: int) -> tuple[Problem, Stretch]:
     return problem, Stretch(problem.path.stations, q)
 
 
+def test_a_stretch_that_ends_where_it_begins_takes_no_motion(planar4: bp.Robot) -> None:
+    problem, stretch = zigzag(planar4, 2)
+    assert problem.path is not None
+    assert time_stretch(problem, problem.path, Stretch(stretch.stations[:1], stretch.q[:1])) == []
+
+
 @pytest.mark.parametrize(("brake", "most"), [(Brake(), 1000 + 40 * 40), (Brake(-1.0), 40 * 40)])
 def test_motions_between_stops_share_the_intervals_of_one_motion(
     planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, brake: Brake, most: int

@@ -119,7 +119,7 @@ def time_stretch(
         if stations[0] < corner < stations[-1]:
             marks.add(int(np.argmin(np.abs(stations - corner))))
     lengths = step_lengths(stations, q, least=_LEAST_LENGTH)
-    shared = _INTERVALS / float(np.sum(lengths))
+    shared = _INTERVALS / max(float(np.sum(lengths)), _LEAST_LENGTH)  # a stretch may end where it begins
     found = []
     for first, last in pairwise(sorted(marks)):
         share = 0.0 if brake.is_used_up() else shared * float(np.sum(lengths[first:last]))
