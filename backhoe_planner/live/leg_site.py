@@ -9,8 +9,9 @@ from weakref import WeakKeyDictionary
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.live.servo.surroundings import shifted
 from backhoe_planner.planning import Plan, PlannedLeg
-from backhoe_planner.site import Obstacle
+from backhoe_planner.site import Obstacle, offset_at
 
 _AHEAD = 0.3  # s before a leg at which measuring its load begins; chosen, 60 pairs at steps of 20 ms
 
@@ -77,6 +78,7 @@ class LegSite:
     def _add(self, obstacle: Obstacle, clock: float) -> str:
         """Add an obstacle to the servo at `clock` of the plan [s], and return the name under which it is there."""
         left = max(obstacle.appears_at - clock, 0.0)  # appears_at counts from the beginning of the plan
+        obstacle = shifted(obstacle, offset_at(obstacle, clock))  # and it has moved since then
         for number in count(1):
             name = obstacle.name if number == 1 else f"{obstacle.name} ({number})"
             with contextlib.suppress(InputError):  # the name is in use: the obstacle itself is the plan's

@@ -112,3 +112,20 @@ def test_an_obstacle_that_appears_later_appears_in_its_own_leg_at_its_own_time(
     assert seen["before"] == pytest.approx(plan.legs[2].begins, abs=3.0 * DT)
     assert seen["in"] == pytest.approx(times["in"][0], abs=3.0 * DT)
     assert servo.waiting == ()
+
+
+def test_an_obstacle_that_moves_is_where_the_plan_has_it_when_its_leg_begins(
+    backhoe: Robot, there_and_back: bp.Plan
+) -> None:
+    """It comes from x = -9 m at 0.5 m/s, and counts in the last leg only."""
+    content = there_and_back.scene.model_dump(by_alias=True, exclude_none=True)
+    content["obstacles"] = [{"name": "mover", "legs": ["back"], "velocity": [-0.5, 0.0, 0.0], **FAR}]
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    servo = Servo(backhoe, plan.scene, DT)
+    with PlanFollower(servo, plan, executor=Never()) as follower:
+        while not (found := [one for one in servo.snapshot() if one.name == "mover"]):
+            state = follower.step()
+            assert not state.done
+    moved = float(found[0].pieces[0].placement.translation[0]) + 9.0
+    assert moved == pytest.approx(-0.5 * plan.legs[2].begins, abs=0.5 * 3.0 * DT)
