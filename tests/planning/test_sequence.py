@@ -409,3 +409,17 @@ def test_an_obstacle_that_moves_through_the_machine_in_a_later_leg_refutes_the_p
     assert tightest is not None
     assert tightest.margin == pytest.approx(-0.34, abs=0.01)
     assert tightest.time >= 9.66
+
+
+def test_a_leg_that_fails_does_not_spoil_the_leg_before(backhoe: Robot) -> None:
+    """The swing is too weak for the second leg: the first one, which only lifts the boom, is proven all the same."""
+    at = START["joints"] | {"boom": 0.8}
+    legs: list[dict[str, Any]] = [
+        {"name": "lift", "goal": {"joints": at}},
+        {"name": "swing", "goal": {"joints": at | {"swing": 0.8}}},
+        {"name": "far", "goal": {"joints": at | {"stick": -0.2}}, "payload": 9000.0},
+    ]
+    found = plan(backhoe, scene_of(*legs, limits={"effort": {"swing": 20.0}}), method="reactive", effort="quick")
+    assert [leg.certificate.verified for leg in found.legs] == [True, False]
+    assert found.message.startswith("leg 'swing': leg 'far' cannot be done either: stick cannot hold the load at the ")
+    assert "lift" not in found.message

@@ -52,10 +52,12 @@ def go_over(legs: Sequence[DoneLeg]) -> Trajectory:
 def rests_between(before: DoneLeg, leg: DoneLeg) -> int:
     """For how many samples the machine has to rest if it stops between two legs, to keep the limits; 0 if in vain."""
     first, second = replace(join([before.motion]), begins=(0,)), join([leg.motion])
-    for rests in (0, _RESTS):
-        if _keeps_limits(_after_a_stop(first, second, rests), before.problem, leg.problem):
-            return rests
-    return 0
+
+    def broken(rests: int) -> int:
+        return _broken_limits(_after_a_stop(first, second, rests), before.problem, leg.problem)
+
+    at_once = broken(0)
+    return _RESTS if at_once and broken(_RESTS) < at_once else 0
 
 
 def _after_a_stop(whole: Trajectory, motion: Trajectory, rests: int) -> Trajectory:
@@ -64,11 +66,11 @@ def _after_a_stop(whole: Trajectory, motion: Trajectory, rests: int) -> Trajecto
     return replace(joined, begins=(*whole.begins, len(whole) - 1 + rests // 2))
 
 
-def _keeps_limits(motion: Trajectory, first: Problem, second: Problem) -> bool:
-    """Whether its last two legs are within the limits of joints and drive, each on its own part of the motion."""
+def _broken_limits(motion: Trajectory, first: Problem, second: Problem) -> int:
+    """How many limits of joints and drive its last two legs break, each on its own part of the motion."""
     begun, meet, last = *motion.begins[-2:], len(motion) - 1
     uses = machine_uses(first, motion.part(begun, meet)) + machine_uses(second, motion.part(meet, last))
-    return all(use is None or use.kept for use in uses)
+    return sum(use is not None and not use.kept for use in uses)
 
 
 def _without_stop(

@@ -174,7 +174,9 @@ def _one_by_one(legs: tuple[Leg, ...], ready: tuple[Leg, ...], planner: LegPlann
     if done[-1].failed:
         later = [words for leg in legs[len(done) :] if (words := _impossible(leg, done[-1].motion.q[-1], planner))]
         outcome = done[-1].outcome
-        done[-1] = replace(done[-1], outcome=replace(outcome, message="; ".join([outcome.message, *later])))
+        done[-1] = replace(
+            done[-1], outcome=replace(outcome, message="; ".join(filter(None, (outcome.message, *later))))
+        )
     return done
 
 
