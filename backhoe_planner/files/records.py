@@ -313,7 +313,7 @@ def _of_one_kind(details: list[Any]) -> list[Any]:
         beside = ([*one["loc"], ""] for one in details)
         return any(place[: len(above)] == above and place[len(above)] not in (member, "") for place in beside)
 
-    return [detail for detail in details if not (misses(detail) and is_answered(detail))]
+    return [detail for detail in details if not (misses(detail) and is_answered(detail))] or details
 
 
 def _place_in_file(loc: tuple[str | int, ...], content: Any, *, missing: bool) -> KeyPath:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -317,6 +318,31 @@ def test_a_wide_trench_in_line_with_the_arm_is_not_reported_as_askew() -> None:
     assert max(abs(lane.swing) for lane in lanes) > 0.11
     undug = find_undug(site, lanes, (design, *allowed_heights(site, lanes, design)), site.ground)
     assert not any("askew" in one.words for one in undug)
+
+
+@pytest.mark.parametrize(
+    ("at", "said"),
+    [
+        ([1, 2, 3], "dump.heap.at: has 3 entries, allowed: at most 2"),
+        ([[1, 2], [1, 2, 3]], "dump.heap.at[1]: has 3 entries, allowed: at most 2"),
+        ([1], "dump.heap.at: has 1 entries, allowed: 2 numbers; found [1]"),
+        ([], "dump.heap.at: has 0 entries, allowed: 2 numbers; found []"),
+        ([1, math.nan], "dump.heap.at[1]: input should be a finite number, in m; found nan"),
+        (5, "dump.heap.at: is not a list; found 5; allowed: a list of 2 numbers"),
+        ("here", "dump.heap.at: is not a list; found 'here'; allowed: a list of 2 numbers"),
+    ],
+)
+def test_a_place_of_a_heap_that_is_none_is_one_line(at: object, said: str) -> None:
+    with pytest.raises(bp.SceneError) as refused:
+        small_job(dump={"heap": {"at": at}})
+    assert str(refused.value).startswith(said)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("kind", ["layers", "face"])
+def test_cuts_of_a_millimetre_cannot_be_meant(kind: str) -> None:
+    with pytest.raises(bp.SceneError, match=rf"pattern.{kind}: .* equal to 0.02 m; found 0.001"):
+        small_job(pattern={kind: 0.001})
 
 
 @pytest.mark.parametrize("pattern", ["layer", {"layer": 0.2}, 3, ["face"], None])

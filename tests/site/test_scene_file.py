@@ -459,6 +459,22 @@ BAD: dict[str, tuple[Data, list[str]]] = {
         scene(task={"path": {"waypoints": [POINTS[0], [3, 0, 1]]}}),
         ["task.path.waypoints[1]: is a list of numbers; allowed: {position: [3, 0, 1]}"],
     ),
+    "waypoints of one place": (
+        scene(task={"path": {"waypoints": [1, 2, 3]}}),
+        ["yaml: task.path.waypoints: is a list of numbers; allowed: [{position: [1, 2, 3]}, ...]"],
+    ),
+    "waypoints of numbers": (
+        scene(task={"path": {"waypoints": [[1, 2, 3], [3, 0, 1], [1, 2]]}}),
+        ["yaml: task.path.waypoints: are lists of numbers; allowed: [{position: [1, 2, 3]}, ...]"],
+    ),
+    "goal of two numbers": (
+        scene(task={"goal": [2.4, 3]}),
+        ["yaml: task.goal: is a list of numbers; allowed: {position: [x, y, z]}"],
+    ),
+    "goal that is no number": (
+        scene(task={"goal": [2.4, 3, math.nan]}),
+        ["yaml: task.goal: is a list of numbers; allowed: {position: [x, y, z]}"],
+    ),
     "several at once": (scene(clearence=1, payload=-1), ["2 problems", "clearence", "payload"]),
 }
 

@@ -22,6 +22,7 @@ _Length = Annotated[float, number(gt=0.0, le=_LARGEST)]
 _Point = tuple[Finite, Finite]
 _WALL = 0.08  # m, thickness of the walls of a truck bed; chosen
 ROUGHNESS = 0.15  # m above the ground that clods and grass reach; chosen
+_THINNEST = 0.02  # m, depth of a cut that is prescribed; chosen: teeth leave furrows as deep
 _ONE_POINT = 0.05  # m: a trench is at least as long as a cell of the ground
 
 
@@ -107,10 +108,19 @@ class Dig(Record):
         return found.tolerance
 
 
+def _kind_of_place(value: Any) -> str:
+    is_list = isinstance(value, (list, tuple)) and any(isinstance(one, (list, tuple)) for one in value)
+    return "places" if is_list else "place"
+
+
 class Heap(Record):
     """A heap of spoil on the ground."""
 
-    at: _Point | Annotated[tuple[_Point, ...], Field(min_length=1, max_length=50)]
+    at: Annotated[
+        Annotated[_Point, Tag("place")]
+        | Annotated[tuple[_Point, ...], Field(min_length=1, max_length=50), Tag("places")],
+        Discriminator(_kind_of_place),
+    ]
     """x, y where soil is dumped [m]; or a list of such places, from which the planner chooses for every cycle."""
     edge_distance: Annotated[float, number(ge=0.0, le=_LARGEST)] = 1.0
     """Distance between the foot of the heap and the edge of the excavation [m]; 1 by default."""
@@ -227,14 +237,14 @@ class Ground(Record):
 class Layers(Record):
     """A prescribed pattern: level layers of one depth, each from the far end to the near one."""
 
-    layers: Annotated[float, number(gt=0.0, le=2.0)]
+    layers: Annotated[float, number(ge=_THINNEST, le=2.0)]
     """Depth of a layer [m]."""
 
 
 class Face(Record):
     """A prescribed pattern: the farthest part is dug down to the bottom first, then the next."""
 
-    face: Annotated[float, number(gt=0.0, le=2.0)]
+    face: Annotated[float, number(ge=_THINNEST, le=2.0)]
     """Greatest depth of one cut below the ground, smoothed over 0.3 m [m].
 
     It is more where a cut passes the step that an earlier one has left.

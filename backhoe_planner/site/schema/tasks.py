@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Discriminator, Tag, field_validator, model_validator
+from pydantic import BeforeValidator, Discriminator, Tag, field_validator, model_validator
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.files.records import Record, exactly_one
@@ -33,8 +33,26 @@ SLOWEST = 1e-4  # m/s of the tip; chosen: no digging is as slow
 
 
 def _is_place(found: object) -> bool:
-    """Whether this is the place of a tip without the key that says so."""
-    return isinstance(found, (list, tuple)) and len(found) == 3 and all(type(one) in (int, float) for one in found)
+    """Whether this is the place of a tip, right or wrong, without the key that says so."""
+    if not isinstance(found, (list, tuple)):
+        return False
+    has_number = any(type(one) in (int, float) for one in found)
+    return has_number and not any(isinstance(one, (list, tuple, Mapping, Record)) for one in found)
+
+
+def _as_position(found: Sequence[Any]) -> str:
+    """How a place without its key is written; with its own numbers, if these are a position."""
+    is_position = len(found) == 3 and all(type(one) in (int, float) and math.isfinite(one) for one in found)
+    return f"{{position: {list(found) if is_position else '[x, y, z]'}}}"
+
+
+def _no_places(found: Any) -> Any:
+    """A list of waypoints, unless none of them has keys."""
+    if _is_place(found):
+        raise ValueError(f"is a list of numbers; allowed: [{_as_position(found)}, ...]")
+    if isinstance(found, (list, tuple)) and found and all(map(_is_place, found)):
+        raise ValueError(f"are lists of numbers; allowed: [{_as_position(found[0])}, ...]")
+    return found
 
 
 class Pose(Record):
@@ -55,7 +73,7 @@ class Pose(Record):
     @classmethod
     def _has_keys(cls, found: Any) -> Any:
         if _is_place(found):
-            raise ValueError(f"is a list of numbers; allowed: {{position: {list(found)}}}")
+            raise ValueError(f"is a list of numbers; allowed: {_as_position(found)}")
         return found
 
     @model_validator(mode="after")
@@ -275,7 +293,7 @@ class Origin(Record):
 class PathTask(Record):
     """A path that the tip follows, straight from waypoint to waypoint."""
 
-    waypoints: tuple[Waypoint, ...] | None = None
+    waypoints: Annotated[tuple[Waypoint, ...] | None, BeforeValidator(_no_places)] = None
     """At least two."""
     file: str | None = None
     """CSV with a header: x,y,z, then pitch or qw,qx,qy,qz; other columns are ignored. Relative to the scene file."""
