@@ -15,7 +15,7 @@ from backhoe_planner.job.cycles.dumping import DumpSite, dump_of, ground_obstacl
 from backhoe_planner.job.ground.obstacle import is_below_swung
 from backhoe_planner.job.worksite.checks import check_job, check_place, check_start
 from backhoe_planner.job.worksite.lanes import Lane, allowed_heights, lanes_of
-from backhoe_planner.job.worksite.worksite import Worksite
+from backhoe_planner.job.worksite.worksite import Worksite, some_posture
 from backhoe_planner.site import Obstacle, Proximity
 
 
@@ -63,10 +63,12 @@ def check_whole_job(site: Worksite) -> CheckedJob:
 
 
 def _check_swung(site: Worksite, grounds: Sequence[Obstacle]) -> None:
-    """Check that links that only swing are not in the ground, `grounds` or that around them, at the start."""
+    """Check that links that only swing are not in the ground, `grounds` or that around them, at the start.
+
+    Without a start they are checked in some posture.
+    """
     below = [one for one in (*site.problem.obstacles, *grounds) if is_below_swung(one)]
-    q = site.problem.start_q
-    assert q is not None
+    q = some_posture(site.robot) if site.problem.start_q is None else site.problem.start_q
     contact = Proximity(site.robot, below).tightest(q) if below else None
     if contact is None or contact.margin >= 0.0:
         return

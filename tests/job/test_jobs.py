@@ -76,6 +76,13 @@ def test_the_independent_check_does_not_refute_a_cycle() -> None:
     assert [what for leg in cycle.legs for what in leg_refutations(tiny_plan(), leg, refine=2)] == []
 
 
+def test_a_job_without_a_start_begins_with_its_first_cut() -> None:
+    content = {key: value for key, value in TINY.items() if key != "start"}
+    found = plan_job(job_from_dict(content), effort="quick")
+    assert found.verified, found.note
+    assert [leg.name for leg in found.cycles[0].legs] == ["cut", "swing", "dump"]
+
+
 @pytest.mark.long
 def test_a_resumed_job_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     parts: list[bp.JobPlan] = []

@@ -163,8 +163,7 @@ def _problem(job: Job, robot: Robot) -> Problem:
     """The site without the ground; its task is to stay at the machine's start."""
     joints = job.start
     if joints is None:
-        stand = np.clip(robot.middle, robot.limits.lower, robot.limits.upper)
-        joints = dict(zip(robot.joint_names, stand.tolist(), strict=True))
+        joints = dict(zip(robot.joint_names, some_posture(robot).tolist(), strict=True))
     content = job.scene_dict() | {
         "start": {"joints": joints}, "task": {"goal": {"joints": joints}}, "objective": job.objective,
     }  # fmt: skip
@@ -179,6 +178,11 @@ def _problem(job: Job, robot: Robot) -> Problem:
     if job.start is None:
         problem = replace(problem, start_q=None)
     return problem
+
+
+def some_posture(robot: Robot) -> Vector:
+    """(n,) a posture within the limits, for a job without a start [rad or m]."""
+    return np.clip(robot.middle, robot.limits.lower, robot.limits.upper)
 
 
 def _digger(job: Job, problem: Problem) -> Digger:
