@@ -14,6 +14,7 @@ from backhoe_planner.machine import Dynamics
 from backhoe_planner.motion import build_problem, drive_of, limit_usage
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Work
 from backhoe_planner.planning.sequence.ends import WayPrices
+from backhoe_planner.planning.world.held_load import HeldLoad
 from backhoe_planner.planning.world.world import World
 
 ACROSS = np.array([0.0, 0.2, -0.6, -0.4])  # far out, so that the load has a long lever
@@ -281,3 +282,48 @@ def test_the_torque_in_a_certificate_is_that_of_its_ratio(backhoe: bp.Robot) -> 
         most = np.where(usage.torque > 0.0, allowed.positive, allowed.negative)
         of_torques = [column for column, name in enumerate(usage.names) if name.startswith("torque ")]
         np.testing.assert_allclose(np.abs(usage.torque) / most, usage.ratio[:, of_torques], rtol=1e-9)
+
+
+OUT, IN = np.array([-1.36, 1.38, -0.25, 0.34]), np.array([-0.31, 0.97, -1.07, -1.87])
+
+
+@pytest.mark.parametrize("objective", ["time", "work"])
+def test_a_motion_goes_round_postures_in_which_the_load_is_not_held(backhoe: bp.Robot, objective: str) -> None:
+    """The load is held at both ends, but on the straight way the boom needs up to 118 % of its torque."""
+    line = OUT + np.linspace(0.0, 1.0, 40)[:, None] * (IN - OUT)
+    use = [use_at_rest(backhoe, q, 1835.0) for q in line]
+    assert max(use[0], use[-1]) < 0.85
+    assert max(use) == pytest.approx(1.18, abs=0.01)
+    asked = scene(backhoe, OUT, {"goal": {"joints": posture(backhoe, IN)}}, 1835.0, objective=objective)
+    plan = bp.plan(backhoe, asked, effort="quick")
+    assert plan.verified, plan.message
+
+
+def test_the_condition_that_a_load_is_held_has_the_slopes_of_the_static_torques(backhoe: bp.Robot) -> None:
+    problem = build_problem(backhoe, scene(backhoe, OUT, GOAL, 1835.0))
+    condition, rng, step = HeldLoad.of(problem), np.random.default_rng(3), 1e-6
+    for _ in range(20):
+        q = backhoe.random_q(rng)
+        assert condition.values(q[None])[0] == pytest.approx(use_at_rest(backhoe, q, 1835.0))
+        assert condition.margins(condition.values(q[None]))[0] == pytest.approx(condition.rows(q[None])[0].min())
+        ends = q + step * np.vstack((np.eye(4), -np.eye(4)))
+        margins = condition.rows(ends)[0]
+        np.testing.assert_allclose(
+            condition.rows(q[None])[1][0].T, (margins[:4] - margins[4:]) / (2.0 * step), atol=1e-5
+        )
+
+
+def test_a_load_is_held_beside_what_is_kept(backhoe: bp.Robot) -> None:
+    """Samples are projected onto all conditions at once: the tilt of the tip, which is a cone, and the load."""
+    keep = {"tilt": {"axis": [0, 0, 1], "direction": [0, 0, 1], "tolerance": 2.6}}
+    task = {"goal": {"joints": posture(backhoe, IN), "keep": keep}}
+    problem = build_problem(backhoe, scene(backhoe, OUT, task, 1835.0))
+    kept = World(problem, seed=0, work=Work(EFFORTS["quick"], Brake())).keeping(HeldLoad.of(problem)).problem.keep
+    assert kept is not None
+    assert problem.keep is not None
+    line = OUT + np.linspace(0.0, 1.0, 200)[:, None] * (IN - OUT)
+    beyond = next(q for q in line if use_at_rest(backhoe, q, 1835.0) > 1.02)
+    assert problem.keep.holds(beyond)
+    found = kept.project(beyond, backhoe.limits.lower, backhoe.limits.upper)
+    assert found is not None
+    assert use_at_rest(backhoe, found, 1835.0) < 1.01

@@ -21,7 +21,8 @@ from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import FastMotion, Findings
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.effort import Brake
-from backhoe_planner.planning.world.holding import holds_load
+from backhoe_planner.planning.world.held_load import HeldLoad
+from backhoe_planner.planning.world.holding import holds_load, moves_load
 from backhoe_planner.planning.world.outcome import Outcome, bad_posture
 from backhoe_planner.planning.world.world import World
 
@@ -68,6 +69,7 @@ class ToGoal:
             return replace(blocked, trajectory=stepper.trajectory())
         searched = search_motion(world, stepper.q, found, self.goals, time=stepper.time)
         searched = _ending_where_held(world, stepper, found, searched)
+        searched = self._holding_the_load(world, stepper, searched)
         if searched.best is not None:
             return _searched_outcome(world, stepper, found, searched, searched.best)
         sampled = _describe_search(world, searched)
@@ -115,6 +117,21 @@ class ToGoal:
         steps = run_iteration(world.problem, stepper.q, target, proximity=world.proximity, kinematics=world.kinematics)
         motion = time_iterates(world.problem, steps, proximity=world.proximity)
         return Outcome(motion, findings=Findings(iterations=len(steps) - 1))
+
+    def _holding_the_load(self, world: World, stepper: Stepper, searched: Searched) -> Searched:
+        """The result of a search along whose motion the load is held, if that of `searched` needs too much torque.
+
+        `searched` if it does not, or if no such motion is found.
+        """
+        best = searched.best
+        if best is None or searched.ended or moves_load(world.problem, best.motion):
+            return searched
+        holding = world.keeping(HeldLoad.of(world.problem))
+        ends = find_goal_postures(holding, self.goals, near=stepper.q, time=stepper.time)
+        if isinstance(ends, Outcome):
+            return searched
+        again = search_motion(holding, stepper.q, ends, self.goals, time=stepper.time)
+        return searched if again.best is None else again
 
     def _is_there(self, world: World, stepper: Stepper) -> bool:
         """Whether the machine is already on a goal, in a posture in which it may stand.

@@ -1,4 +1,4 @@
-"""Whether the machine can hold its load where a motion begins and ends at rest."""
+"""Whether the machine can hold its load where a motion begins and ends at rest, and on the way."""
 
 from __future__ import annotations
 
@@ -36,6 +36,17 @@ def holding_use(problem: Problem, q: Matrix) -> Vector:
 def is_held(use: Vector) -> Flags:
     """(N,) for which uses (N,) of the joints by the load, see `holding_use`, the certificate says that they hold it."""
     return np.asarray(use <= 1.0 + DRIVE_TOLERANCE)
+
+
+def moves_load(problem: Problem, motion: Trajectory) -> bool:
+    """Whether a motion keeps the limits on torque, or breaks them only by how fast it is.
+
+    It may pass postures in which a joint could not hold arm and payload at rest.
+    """
+    if holds_load(problem, motion.q).all():
+        return True
+    _, _, effort, _ = machine_uses(problem, motion)
+    return effort is None or effort.kept
 
 
 def largest_payload(problem: Problem, q: Vector) -> float | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import OBJECTIVES, Goal, Problem, TipPath, Trajectory
+from backhoe_planner.motion import OBJECTIVES, Condition, Goal, Keep, Problem, TipPath, Trajectory
 from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.reactive.stepping import PlannerStep, Stepper, Watcher
 from backhoe_planner.planning.search.effort import Effort, Work
@@ -21,6 +21,7 @@ from backhoe_planner.site import Obstacle, Proximity, obstacles_in_reach
 _SEEDS_APART = (
     7_368_787  # a prime, so that restarted searches share no draws with the routes of this seed or of the next one
 )
+_FEWER_MOTIONS = 6  # times; chosen: where a way was found with one more condition, few were sampled
 _SHOWN = 5  # every fifth sample of a motion is shown; ten a second
 
 
@@ -88,6 +89,15 @@ class World:
         """The same problem with other `goals`, with all its effort and random choices anew; no watcher is called."""
         other = self.anew(0, self.work.effort)
         other.problem = replace(self.problem, goals=tuple(goals))
+        other._put(self._obstacles)
+        return other
+
+    def keeping(self, condition: Condition) -> World:
+        """The same problem with one more condition to be kept, with random choices anew and fewer motions to sample."""
+        effort, kept = self.work.effort, self.problem.keep
+        other = self.anew(0, replace(effort, motions=effort.motions // _FEWER_MOTIONS))
+        keep = Keep(self.problem.robot, [*(() if kept is None else kept.conditions), condition])
+        other.problem = replace(self.problem, keep=keep)
         other._put(self._obstacles)
         return other
 
