@@ -212,10 +212,16 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
             "the URDF's soft limits (safety_controller) are not used, only its limits; "
             f"the scene can narrow them (limits: {{position: {{{ranges}}}}})"
         )
-    if not any(inertia.mass for inertia in robot.model.inertias.tolist()[1:]):
+    weightless = [index for index, inertia in enumerate(robot.model.inertias.tolist()) if index and not inertia.mass]
+    if len(weightless) == robot.n:
         found.append(
             "no link that moves has a mass in the URDF: torque, work and energy are those of payload and soil alone, "
             "0 without them"
+        )
+    elif names := list(dict.fromkeys(piece.link for piece in robot.pieces if piece.joint in weightless)):
+        found.append(
+            f"{', '.join(names)}: no mass in the URDF, unlike other links that move: torque, work and energy are "
+            "those of the others, payload and soil"
         )
     return tuple(found)
 

@@ -182,10 +182,17 @@ def test_the_scene_can_give_limits_missing_in_the_urdf(unlimited: bp.Robot) -> N
     assert len(limit_warnings(machine_on_site(unlimited, scene(hold={"spin": 1.0})), own)) == 1
 
 
-def test_one_link_with_a_mass_is_enough_to_avoid_the_warning(tmp_path: Path) -> None:
-    body = '<link name="hand"><inertial><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
-    (tmp_path / "tiny.urdf").write_text(URDF.replace('<link name="hand">', f"{body}</inertial>"))
-    assert not any("mass" in warning for warning in limit_warnings(load_robot(tmp_path / "tiny.urdf")))
+@pytest.mark.parametrize(("some", "said"), [(["hand"], "arm"), (["arm"], "hand"), (["arm", "hand"], None)])
+def test_a_link_that_moves_without_a_mass_is_told_where_others_have_one(
+    tmp_path: Path, some: list[str], said: str | None
+) -> None:
+    body = '<inertial><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    text = URDF
+    for name in some:
+        text = text.replace(f'<link name="{name}">', f'<link name="{name}">{body}')
+    (tmp_path / "tiny.urdf").write_text(text)
+    found = [warning for warning in limit_warnings(load_robot(tmp_path / "tiny.urdf")) if "mass" in warning]
+    assert [warning.split(": no mass in the URDF, unlike ")[0] for warning in found] == ([] if said is None else [said])
 
 
 def test_cylinders_give_the_effort_limits_missing_in_the_urdf(tmp_path: Path, backhoe: bp.Robot) -> None:
