@@ -24,8 +24,8 @@ class Moments:
     Attributes
     ----------
     time: (M,) [s].
-    q, v, a: (M, n); inside a segment v is constant and a is 0, at a sample a is that of
-        `Trajectory.corner_accelerations`.
+    q, v, a: (M, n); at a sample a is that of `Trajectory.corner_accelerations`. Inside a segment v is constant, and
+        a is between those at its ends if the samples are those of a smooth motion, 0 if they are far apart.
     before, after: (M, n) the velocities before and after a corner; v where the samples are
         those of a smooth motion.
     segment: (M,) index of the segment that begins or continues there; for the last sample, the sample's own index.
@@ -201,11 +201,15 @@ class Trajectory:
         sharp = (1.0 - np.minimum(SAMPLE_PERIOD / self._spans(), 1.0))[:, None] if last else np.zeros((1, 1))
         beside = np.vstack((self._velocity(self.before), velocities, self._velocity(self.after)))
         found = [np.vstack((moving, moving[-1:] if last else self.v)) for _ in range(4)]
+        accelerations = self.corner_accelerations()
         at_samples = (
-            self.v, self.corner_accelerations(),
+            self.v, accelerations,
             self.v + sharp * (beside[:-1] - self.v), self.v + sharp * (beside[1:] - self.v),
         )  # fmt: skip
-        found[1][:] = 0.0
+        # and the less of a segment is spent on rounding its corners off
+        smooth = np.clip(2.0 - np.diff(self.time) / SAMPLE_PERIOD, 0.0, 1.0)[segment, None]
+        along = part[:, None]
+        found[1][:-1] = smooth * ((1.0 - along) * accelerations[segment] + along * accelerations[segment + 1])
         for values, of_samples in zip(found, at_samples, strict=True):
             values[corner] = of_samples
         v, a, before, after = found

@@ -206,6 +206,17 @@ def test_moments_between_samples_equal_a_hand_calculation() -> None:
     np.testing.assert_array_equal(motion.moments(longest=np.inf).q, motion.q)
 
 
+def test_moments_between_samples_of_a_smooth_motion_have_its_acceleration() -> None:
+    """q = 40 t^2 moves by more than 0.025 rad from sample to sample: v changes by 80 rad/s in a second throughout."""
+    for period, expected in ((0.02, 80.0), (0.03, 0.5 * 120.0), (0.04, 0.0)):
+        time = period * np.arange(12, dtype=np.float64)
+        moments = bp.Trajectory.from_steps(time, 40.0 * time[:, None] ** 2).moments()
+        inside = np.flatnonzero((moments.segment > 1) & (moments.segment < 9) & ~np.isin(moments.time, time))
+        assert len(inside) > 10
+        # from 0.02 s on, corners are rounded off within 0.02 s, and parts of the segments are straight
+        np.testing.assert_allclose(moments.a[inside, 0], expected, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("ratio", "said"),
     [(1.0123, "101.23 % of"), (1.491, "149 % of"), (12.3, "12 times"), (1e6, "more than 1000 times")],

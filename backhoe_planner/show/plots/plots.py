@@ -266,7 +266,7 @@ def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
 def moments_to_draw(trajectory: Trajectory, moments: Moments) -> NDArray[np.bool_]:
     """(M,) which of a trajectory's `moments` are drawn: the samples, and what lies between samples that are far apart.
 
-    Between the samples of a smooth motion, moments have no acceleration of their own; the samples beside them say it.
+    Between the samples of a smooth motion, the samples beside them say it.
     """
     sample = np.diff(moments.segment, prepend=-1) > 0
     far = np.append(np.diff(trajectory.time) > SAMPLE_PERIOD * (1.0 + 1e-6), False)
