@@ -121,10 +121,12 @@ class ToGoal:
     def _holding_the_load(self, world: World, stepper: Stepper, searched: Searched) -> Searched:
         """The result of a search along whose motion the load is held, if that of `searched` needs too much torque.
 
-        `searched` if it does not, or if no such motion is found.
+        `searched` if it does not, or if no such motion is found. Within a cone no such search is made: it takes long.
         """
-        best = searched.best
-        if best is None or searched.ended or moves_load(world.problem, best.motion):
+        best, keep = searched.best, world.problem.keep
+        if best is None or searched.ended or (keep is not None and keep.cones):
+            return searched
+        if moves_load(world.problem, best.motion):
             return searched
         holding = world.keeping(HeldLoad.of(world.problem))
         ends = find_goal_postures(holding, self.goals, near=stepper.q, time=stepper.time)
