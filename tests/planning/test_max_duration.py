@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -62,11 +63,30 @@ def test_a_motion_longer_than_max_duration_is_not_verified(backhoe: bp.Robot, tm
     slow = bp.plan(backhoe, reach(1.01 * taken), method="reactive")
     assert slow.trajectory.duration > 1.01 * taken
     assert slow.reason == "outside_limits"
+    assert slow.advice == ""
     plan = bp.plan(backhoe, reach(2.0 * taken), effort="quick")
     plan.save(tmp_path / "plan.json")
     again = bp.load_plan(tmp_path / "plan.json")
     assert again.verified
     assert again.certificate.duration == plan.certificate.duration
+
+
+def test_a_plan_that_takes_a_little_too_long_says_which_max_duration_allows_it(
+    backhoe: bp.Robot,
+) -> None:
+    """The advice is rounded up, so that the motion keeps to it when it is followed literally."""
+    free = bp.plan(backhoe, reach(None), effort="quick")
+    taken = free.trajectory.duration
+    short = replace(free, certificate=bp.certify(backhoe, reach(0.999 * taken), free.trajectory))
+    words = "allows this motion; --effort normal or another --seed may find a faster one"
+    given, rest = short.advice.removeprefix("max_duration: ").split(" ", 1)
+    assert rest == words
+    assert taken <= float(given) < taken + 0.01 + 1e-9
+    assert bp.certify(backhoe, reach(float(given)), free.trajectory).verified
+    assert replace(short, effort="thorough").advice.endswith("this motion; another --seed may find a faster one")
+    touching = replace(short.certificate, problems=("the motion takes too long", "the bucket touches the pole"))
+    assert replace(short, certificate=touching).advice == ""
+    assert replace(short, failure="blocked").advice == ""
 
 
 def test_each_leg_has_its_own_max_duration(backhoe: bp.Robot) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -43,6 +44,7 @@ from backhoe_planner.site import Scene, load_machine, scene_from_dict
 METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleop" is driven by hand
 # % above the bound; of 24 random sites of the backhoe, the fastest known motions of nine in ten are at most 26 % above
 _FAR = 25.0
+_MORE_EFFORT = {"quick": "normal", "normal": "thorough"}
 _COMPUTED = ("dynamics", "certificate", "metrics", "bound", "legs")  # keys of a file that follow from its motion
 _SAVES = 0.99  # times the cost of a fast motion, up to which a motion counts as cheaper; chosen
 _BINDS = 0.98  # part of the allowed time from which it limits a motion; chosen: timing after the search saves a little
@@ -249,15 +251,30 @@ class Plan:
         """How a better motion may be found, in words: ``--effort normal may find a cheaper motion``; mostly empty.
 
         It is given for a verified plan with the quick effort that minimises another cost than the time, or that takes
-        much longer than the lower bound.
+        much longer than the lower bound; and for a plan that fails only because `max_duration` is too short for it.
         """
-        if self.effort != "quick" or self.method not in ("auto", "optimal") or not self.verified:
+        if self.method not in ("auto", "optimal"):
+            return ""
+        if not self.verified:
+            return self._advice_on_duration()
+        if self.effort != "quick":
             return ""
         moving = [leg for leg in self.problem.legs if leg.wait is None] or [self.problem]
         if not all(part.objective.is_time for part in moving):
             return "--effort normal may find a cheaper motion"
         far = self.excess and self.bound is not None and self.bound.longer_percent > _FAR
         return "--effort normal may find a faster motion" if far else ""
+
+    def _advice_on_duration(self) -> str:
+        """Which `max_duration` allows the motion of a failed plan; empty if anything else is wrong with it."""
+        use = self.certificate.duration
+        if self.failure not in ("", "outside_limits") or len(self.certificate.problems) > 1 or use is None or use.kept:
+            return ""
+        longer = f"max_duration: {math.ceil(100.0 * use.needed) / 100.0:.2f} allows this motion"
+        more = "another --seed may find a faster one"
+        if self.effort in _MORE_EFFORT:
+            more = f"--effort {_MORE_EFFORT[self.effort]} or {more}"
+        return f"{f'in leg {use.leg}, ' * bool(use.leg)}{longer}; {more}"
 
     @property
     def input_files(self) -> tuple[Path, ...]:
