@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from backhoe_planner.errors import InputError, OutputError
-from backhoe_planner.machine import Robot
+from backhoe_planner.machine import BatchKinematics, Robot
 from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, build_problem, limit_usage
 from backhoe_planner.planning import Plan, measure_motion, plan
 from backhoe_planner.proof import certify
@@ -19,7 +19,7 @@ from backhoe_planner.show import plot_envelope, plot_plan
 from backhoe_planner.show.drawing.kept_parts import kept_parts
 from backhoe_planner.show.drawing.timeline import timeline
 from backhoe_planner.show.plots import plots
-from backhoe_planner.show.plots.plots import moments_to_draw, with_rests_apart
+from backhoe_planner.show.plots.plots import moments_to_draw, torques_to_draw, with_rests_apart
 from backhoe_planner.site import scene_from_dict
 
 START = [0.0, 0.4, -1.6, -0.9]
@@ -175,6 +175,28 @@ def test_the_limit_used_in_a_rest_is_that_of_the_machine_at_rest(backhoe: Robot)
     drawn = moments_to_draw(apart, usage.moments)
     np.testing.assert_allclose(usage.greatest[drawn][2:4], held[0])
     assert usage.greatest[drawn][1] > 2.0 * held[0]
+
+
+def test_the_torques_of_a_leg_are_drawn_up_to_its_end(backhoe: Robot) -> None:
+    """A load is held through a wait of 2 s and gone after it: the torque is constant, and then falls at once."""
+    joints = dict(zip(backhoe.joint_names, START, strict=True))
+    turned = np.array(START) + np.array([0.01, 0.0, 0.0, 0.0])
+    there = {"joints": dict(zip(backhoe.joint_names, turned.tolist(), strict=True))}
+    legs = [{"name": "hold", "wait": 2.0, "payload": 400.0}, {"name": "go", "goal": there}]
+    content = {"version": 1, "start": {"joints": joints}, "task": {"sequence": legs}}
+    problem = build_problem(backhoe, scene_from_dict(content))
+    motion = Trajectory.from_steps(np.array([0.0, 2.0, 3.0]), np.array([START, START, turned]))
+    time, torque = torques_to_draw(problem, replace(motion, begins=(0, 1)))
+    held = torque[time < 2.0]
+    assert len(held) == 3  # the beginning, and a period from both ends
+    np.testing.assert_allclose(held, np.broadcast_to(held[0], held.shape))
+    boom = backhoe.joint_names.index("boom")
+    # the axis of the boom is 0.535 m before that of the swing
+    (tip,) = BatchKinematics(problem.robot).tip_positions(np.array([START]))
+    before, after = torque[time == 2.0]
+    assert before[boom] == pytest.approx(held[0, boom], rel=1e-3)
+    fall = before[boom] - after[boom]
+    assert fall == pytest.approx(400.0 * 9.81 * (tip[0] - 0.535), rel=0.01)
 
 
 def test_limits_that_the_legend_does_not_name_are_counted(

@@ -19,6 +19,7 @@ from backhoe_planner.motion import (
     Moments,
     Problem,
     Trajectory,
+    leg_parts,
     limit_usage,
     trajectory_energy,
 )
@@ -301,12 +302,25 @@ def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
     return "0.85", None
 
 
+def torques_to_draw(problem: Problem, trajectory: Trajectory) -> tuple[Vector, NDArray[np.float64]]:
+    """(K,) moments [s] and (K, n) torques of the joints at them [N m], by legs and rests.
+
+    Where two legs meet, or a rest begins or ends, there are moments with the torques on either side.
+    """
+    times, torques = [], []
+    for part in leg_parts(problem, trajectory):
+        motion = with_rests_apart(part.motion)
+        times.append(part.begins + motion.time)
+        torques.append(trajectory_energy(part.problem, motion).torque)
+    return np.concatenate(times), np.concatenate(torques)
+
+
 def _torques(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    torque = trajectory_energy(problem, plan.trajectory).torque
+    time, torque = torques_to_draw(problem, plan.trajectory)
     largest = float(np.max(np.abs(torque), initial=0.0))
     prefix, scale = _prefix(largest)
     for joint in range(plan.robot.n):
-        axes.plot(plan.trajectory.time, scale * torque[:, joint], color=_colour(joint), linewidth=1.6)
+        axes.plot(time, scale * torque[:, joint], color=_colour(joint), linewidth=1.6)
     axes.axhline(0.0, color="0.6", linewidth=0.8)
     forces = np.any(plan.robot.prismatic)
     axes.set_ylabel(f"torque [{prefix}N m]" if not forces else f"torque or force [{prefix}N m, {prefix}N]")
