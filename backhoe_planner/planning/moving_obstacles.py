@@ -176,8 +176,8 @@ class _OverTime:
             stopped.replay(braked, braked.duration)
             stopped.v = np.zeros_like(stopped.q)
         elif not stopped.give_way(moment):
-            kept = "" if known.problem.keep is None else " or violate `keep`"
-            return self._halt(motion, moment, f"even braking, the machine would come too near to it{kept}")
+            kept = "" if known.problem.keep is None else " or violates `keep`"
+            return self._halt(motion, moment, f"comes too near to it{kept} even while it brakes")
         outcome = self._among_known(stopped)
         if outcome.reason and outcome.trajectory.duration < stopped.time:
             outcome = replace(outcome, trajectory=stopped.trajectory())

@@ -134,6 +134,11 @@ def test_braking_ends_where_the_motion_ends(backhoe: bp.Robot) -> None:
     [reaction] = found.findings.reactions
     assert not found.certificate.safe
     assert reaction.stopped_at is not None
+    assert found.message == (
+        f"s appears at 1.00 s in the way: the machine stops at {reaction.stopped_at:.2f} s, "
+        "and comes too near to it even while it brakes"
+    )
+    assert reaction.reply == f"no way to stop in time, at rest at {reaction.stopped_at:.2f} s"
     assert 1.0 < reaction.stopped_at < 1.1 * undisturbed.trajectory.duration
 
 

@@ -43,8 +43,8 @@ class Reaction(Record):
 
     @property
     def reply(self) -> str:
-        """What the machine does, in words: ``stopped and planned anew, stopped at 2.40 s``."""
-        stopped = "" if self.stopped_at is None else f", stopped at {self.stopped_at:.2f} s"
+        """What the machine does, in words: ``stopped and planned anew, at rest at 2.40 s``."""
+        stopped = "" if self.stopped_at is None else f", at rest at {self.stopped_at:.2f} s"
         return f"{self.way or 'no way to stop in time'}{stopped}"
 
 

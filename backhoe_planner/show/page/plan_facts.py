@@ -50,7 +50,10 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
         got = f"{tracking.followed:.2f} m of {tracking.path_length:.2f} m"
         facts.append(("Followed", got, "of the path, before the motion ends"))
     elif plan.failure and plan.problem.goals and not is_recording(plan):
-        facts.append(("Motion ends", f"{_length(tracking.max_error)} off", "before the goal; the picture shows it"))
+        ends, remark = f"{_length(tracking.max_error)} off", "before the goal; the picture shows it"
+        if certificate.goal is not None:
+            ends, remark = "at the goal", ""
+        facts.append(("Motion ends", ends, remark))
     mean = "" if plan.scene.task.path is None else f"mean {_length(tracking.mean_error)}"
     if not is_recording(plan) and not (plan.failure and plan.problem.goals) and has_tip_error(plan):
         turned = angle_error(plan)
