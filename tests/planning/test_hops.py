@@ -32,13 +32,15 @@ def ended(planar4: bp.Robot) -> tuple[World, CostSearch]:
 
 
 def hops(
-    ended: tuple[World, CostSearch], monkeypatch: pytest.MonkeyPatch, *, millimetres: float, gains: Iterator[float]
-) -> list[tuple[Start, FoundMotion]]:
+    ended: tuple[World, CostSearch], monkeypatch: pytest.MonkeyPatch, *, millimetres: float, gains: Iterator[float],
+    rounds: int = 10,
+) -> list[tuple[Start, FoundMotion]]:  # fmt: skip
     """The starts of all hops, each with the best motion before, if the hops gain these parts of the cost in turn.
 
     Parameters
     ----------
     millimetres: by which the best motion at first could lift all moving parts.
+    rounds: that the descents of the search made before.
     """
     world, search = ended
     best = motion_of_lift(world, millimetres)
@@ -53,6 +55,8 @@ def hops(
         incumbent.best = replace(incumbent.best, cost=cost, curve=start.curve)
         return True
 
+    made = search._descents.rounds
+    monkeypatch.setattr(search._descents._descent, "rounds", search._descents._descent.rounds + rounds - made.made)
     monkeypatch.setattr(search._descents, "bent_coarsely", lambda start: start)
     monkeypatch.setattr(search._descents, "descend", descend)
     monkeypatch.setattr(search._refining, "_refine", lambda *_: False)
@@ -78,6 +82,13 @@ def test_hops_end_after_some_without_a_gain(
 ) -> None:  # fmt: skip
     begun = hops(ended, monkeypatch, millimetres=millimetres, gains=chain(gains, repeat(0.0)))
     assert len(begun) == count
+
+
+@pytest.mark.parametrize(("rounds", "count"), [(0, 6), (34, 6), (35, 12), (200, 12)])
+def test_after_a_hard_search_hops_go_on_for_longer(
+    ended: tuple[World, CostSearch], monkeypatch: pytest.MonkeyPatch, rounds: int, count: int
+) -> None:
+    assert len(hops(ended, monkeypatch, millimetres=39.0, gains=repeat(0.0), rounds=rounds)) == count
 
 
 def test_hops_leave_the_rounds_that_finer_curves_had(

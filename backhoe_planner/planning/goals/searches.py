@@ -17,13 +17,11 @@ from backhoe_planner.planning.goals.goal_postures import GoalPostures, find_goal
 from backhoe_planner.planning.goals.time_search import TimeSearch
 from backhoe_planner.planning.multistart.incumbent import FoundMotion
 from backhoe_planner.planning.multistart.lift import is_frugal, lift_of
+from backhoe_planner.planning.refining.refining import HARD
 from backhoe_planner.planning.search.effort import EFFORTS
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
 
-# rounds of the descents of a search for another cost than the time, without refining, above which another search may
-# find a much cheaper motion; chosen: two sites in three have more
-_HARD = 34
 # postures known to a search, from which on one of the other kind follows even if it was short, because it has drawn
 # only some of those that differ; chosen: for a backhoe they are a dozen or fewer
 _MANY = 40
@@ -165,7 +163,7 @@ def _further(first: CostSearch, world: World) -> tuple[bool, ...]:
     """The further searches after one that has found a motion: true for one that continues it, false for a new one."""
     effort = world.work.effort
     # a result that was found quickly is mostly found again, unless much depended on refining it
-    is_easy = first.rounds <= _HARD and not first.refining_paid
+    is_easy = first.rounds <= HARD and not first.refining_paid
     frugal = is_frugal(world)
     anew = effort.restarts
     if frugal and is_easy:
