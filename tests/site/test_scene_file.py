@@ -467,6 +467,14 @@ BAD: dict[str, tuple[Data, list[str]]] = {
         scene(task={"path": {"waypoints": [[1, 2, 3], [3, 0, 1], [1, 2]]}}),
         ["yaml: task.path.waypoints: are lists of numbers; allowed: [{position: [1, 2, 3]}, ...]"],
     ),
+    "goals of numbers": (
+        scene(task={"goal": [[1, 2, 3], [2, 3, 4]]}),
+        ["yaml: task.goal: are lists of numbers; allowed: [{position: [1, 2, 3]}, ...]"],
+    ),
+    "one goal of numbers": (
+        scene(task={"goal": [{"position": [1, 2, 3]}, [2, 3, 4]]}),
+        ["yaml: task.goal[1]: is a list of numbers; allowed: {position: [2, 3, 4]}"],
+    ),
     "goal of two numbers": (
         scene(task={"goal": [2.4, 3]}),
         ["yaml: task.goal: is a list of numbers; allowed: {position: [x, y, z]}"],

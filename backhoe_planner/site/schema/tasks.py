@@ -47,10 +47,10 @@ def _as_position(found: Sequence[Any]) -> str:
 
 
 def _no_places(found: Any) -> Any:
-    """A list of waypoints, unless none of them has keys."""
+    """A list of waypoints or goals, unless there are several and none of them has keys."""
     if _is_place(found):
         raise ValueError(f"is a list of numbers; allowed: [{_as_position(found)}, ...]")
-    if isinstance(found, (list, tuple)) and found and all(map(_is_place, found)):
+    if isinstance(found, (list, tuple)) and len(found) > 1 and all(map(_is_place, found)):
         raise ValueError(f"are lists of numbers; allowed: [{_as_position(found[0])}, ...]")
     return found
 
@@ -239,7 +239,7 @@ AnyGoal = Annotated[
 Goals = Annotated[
     Annotated[Goal, Tag("Goal")]
     | Annotated[JointsGoal, Tag("JointsGoal")]
-    | Annotated[tuple[AnyGoal, ...], Tag("list")],
+    | Annotated[tuple[AnyGoal, ...], BeforeValidator(_no_places), Tag("list")],
     Discriminator(_kind_of_goal),
 ]
 
