@@ -19,6 +19,7 @@ from backhoe_planner.site.schema.zone_kinds import SwingSector
 
 # times the machine's own acceleration, above which one of the scene is rather meant in degrees: a radian has 57; chosen
 _TOO_FAST = 20.0
+_INERTIA_ROUNDING = 0.01  # part of the greatest moment of inertia; chosen: files give few digits
 
 
 def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
@@ -189,7 +190,7 @@ def range_sources(robot: Robot, scene: Scene, joint: int) -> tuple[str, str]:
 
 
 def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
-    """Warnings of limits and masses that neither the URDF nor the scene gives, and of what is assumed instead."""
+    """Warnings of limits and masses that neither the URDF nor the scene gives, or that no machine has."""
     velocity, effort, position = (
         (scene.limits.velocity, scene.limits.effort, scene.limits.position) if scene is not None else ({}, {}, {})
     )
@@ -223,7 +224,25 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
             f"{', '.join(names)}: no mass in the URDF, unlike other links that move: torque, work and energy are "
             "those of the others, payload and soil"
         )
+    found += _impossible_inertias(robot)
     return tuple(found)
+
+
+def _impossible_inertias(robot: Robot) -> list[str]:
+    """Moments of inertia that no body has, one of them more than the two others together, in words.
+
+    Links that are fixed to each other count as one body.
+    """
+    found = []
+    for joint, name in enumerate(robot.joint_names, start=1):
+        least, middle, greatest = np.linalg.eigvalsh(robot.model.inertias[joint].inertia).tolist()
+        if least + middle < (1.0 - _INERTIA_ROUNDING) * greatest:
+            found.append(
+                f"{robot.urdf.joints[name].child} with what is fixed to it has the principal moments of inertia "
+                f"{least:.3g}, {middle:.3g} and {greatest:.3g} kg m^2: no body has one that is more than the other two "
+                "together; torques of fast motions may be wrong"
+            )
+    return found
 
 
 def input_warnings(

@@ -195,6 +195,28 @@ def test_a_link_that_moves_without_a_mass_is_told_where_others_have_one(
     assert [warning.split(": no mass in the URDF, unlike ")[0] for warning in found] == ([] if said is None else [said])
 
 
+@pytest.mark.parametrize(
+    ("moments", "said"),
+    [
+        ((1.0, 1.0, 2.0), None),  # a plate
+        ((0.0, 1.0, 1.0), None),  # a thin rod
+        ((0.0, 0.0, 0.0), None),  # all of the mass in one point
+        ((1.0, 2.5, 1.0), "1, 1 and 2.5 kg m^2"),
+        ((0.01, 0.0, 0.0), "0, 0 and 0.01 kg m^2"),
+    ],
+)
+def test_moments_of_inertia_that_no_body_has_give_a_warning(
+    tmp_path: Path, moments: tuple[float, float, float], said: str | None
+) -> None:
+    ixx, iyy, izz = moments
+    inertia = f'<inertia ixx="{ixx}" ixy="0" ixz="0" iyy="{iyy}" iyz="0" izz="{izz}"/>'
+    body = f'<link name="hand"><inertial><mass value="2"/>{inertia}</inertial>'
+    (tmp_path / "tiny.urdf").write_text(URDF.replace('<link name="hand">', body))
+    found = [warning for warning in limit_warnings(load_robot(tmp_path / "tiny.urdf")) if "moments" in warning]
+    assert len(found) == (said is not None)
+    assert all(warning.startswith("hand ") and said is not None and said in warning for warning in found)
+
+
 def test_cylinders_give_the_effort_limits_missing_in_the_urdf(tmp_path: Path, backhoe: bp.Robot) -> None:
     bare = tmp_path / "bare.urdf"
     bare.write_text(backhoe.urdf.path.read_text().replace('effort="90000"', 'effort="0"'))
