@@ -30,11 +30,11 @@ from .limits import machine_on_site as machine_on_site
 from .limits import range_sources as range_sources
 from .limits import scaled_limits as scaled_limits
 from .limits import swing_sectors as swing_sectors
+from .obstacle_warnings import obstacle_warnings as obstacle_warnings
 from .obstacles import Obstacle as Obstacle
 from .obstacles import build_obstacle as build_obstacle
 from .obstacles import build_obstacles as build_obstacles
 from .obstacles import check_links as check_links
-from .obstacles import obstacle_warnings as obstacle_warnings
 from .obstacles import offset_at as offset_at
 from .obstacles import sweep as sweep
 from .obstruction import Obstruction as Obstruction

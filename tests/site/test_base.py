@@ -13,7 +13,7 @@ import backhoe_planner as bp
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine import Base, Kinematics, Robot, self_pairs
 from backhoe_planner.motion import build_problem
-from backhoe_planner.site import InTheWay, stands_in
+from backhoe_planner.site import InTheWay, obstacle_warnings, stands_in
 
 AT, HEADING = (12.5, -3.0), 0.7  # m, rad
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
@@ -146,6 +146,20 @@ def test_a_base_pose_inside_an_obstacle_is_refused_naming_link_and_obstacle(back
     with pytest.raises(SceneError, match="puts loader of the machine into house"):
         build_problem(backhoe, _standing(wall))
     build_problem(backhoe, _standing(wall | {"position": [15.76, 0.0, 1.5]}))  # the bucket ends at x 15.24 m
+
+
+def test_a_machine_without_a_base_pose_that_stands_in_an_obstacle_gives_a_warning(backhoe: Robot) -> None:
+    """Its tractor extends from x 0 to -5.24 m."""
+
+    def warnings(x: float, **keys: float) -> tuple[str, ...]:
+        house = {"name": "house", "shape": "box", "size": [1.0, 4.0, 3.0], "position": [x, 0.0, 1.5]}
+        task = {"start": {"joints": START}, "task": {"goal": {"joints": START}}, "obstacles": [house | keys]}
+        return obstacle_warnings(backhoe, build_problem(backhoe, bp.scene_from_dict({"version": 1} | task)).obstacles)
+
+    (warning,) = warnings(-1.5)
+    assert "which does not move, stands in house" in warning
+    assert "base: {position: [x, y], heading: 0}" in warning
+    assert warnings(-5.76) == warnings(-1.5, appears_at=2.0) == ()
 
 
 @pytest.mark.parametrize(
