@@ -45,7 +45,7 @@ class LegSite:
             _check_loads(servo, plan)
         self._some = {one.name: one for one in plan.problem.obstacles if one.spec.legs is not None and one.zone is None}
         self._away, self._called = _AWAY.setdefault(servo, set()), _CALLED.setdefault(servo, {})
-        self._index = -1
+        self._index, self._begun = -1, servo.time
 
     @property
     def leg(self) -> PlannedLeg:
@@ -72,13 +72,14 @@ class LegSite:
             servo.carry(name)
         for obstacle in [one for one in self._some if here[one] and one in self._away]:
             self._away.discard(obstacle)
-            self._called[obstacle] = self._add(self._some[obstacle], clock)
+            self._called[obstacle] = self._add(self._some[obstacle])
         return True
 
-    def _add(self, obstacle: Obstacle, clock: float) -> str:
-        """Add an obstacle to the servo at `clock` of the plan [s], and return the name under which it is there."""
-        left = max(obstacle.appears_at - clock, 0.0)  # appears_at counts from the beginning of the plan
-        obstacle = shifted(obstacle, offset_at(obstacle, clock))  # and it has moved since then
+    def _add(self, obstacle: Obstacle) -> str:
+        """Add an obstacle to the servo, and return the name under which it is there."""
+        passed = self._servo.time - self._begun  # more than on the plan's clock if the machine is late
+        left = max(obstacle.appears_at - passed, 0.0)  # appears_at counts from the beginning of the plan
+        obstacle = shifted(obstacle, offset_at(obstacle, passed))  # and it has moved since then
         for number in count(1):
             name = obstacle.name if number == 1 else f"{obstacle.name} ({number})"
             with contextlib.suppress(InputError):  # the name is in use: the obstacle itself is the plan's

@@ -114,10 +114,11 @@ def test_an_obstacle_that_appears_later_appears_in_its_own_leg_at_its_own_time(
     assert servo.waiting == ()
 
 
-def test_an_obstacle_that_moves_is_where_the_plan_has_it_when_its_leg_begins(
-    backhoe: Robot, there_and_back: bp.Plan
+@pytest.mark.parametrize("pace", [1.0, 0.5])
+def test_an_obstacle_that_moves_is_where_it_has_moved_to_when_its_leg_begins(
+    backhoe: Robot, there_and_back: bp.Plan, pace: float
 ) -> None:
-    """It comes from x = -9 m at 0.5 m/s, and counts in the last leg only."""
+    """It comes from x = -9 m at 0.5 m/s, counts in the last leg only, and does not wait for a machine that is late."""
     content = there_and_back.scene.model_dump(by_alias=True, exclude_none=True)
     content["obstacles"] = [{"name": "mover", "legs": ["back"], "velocity": [-0.5, 0.0, 0.0], **FAR}]
     plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
@@ -125,7 +126,8 @@ def test_an_obstacle_that_moves_is_where_the_plan_has_it_when_its_leg_begins(
     servo = Servo(backhoe, plan.scene, DT)
     with PlanFollower(servo, plan, executor=Never()) as follower:
         while not (found := [one for one in servo.snapshot() if one.name == "mover"]):
-            state = follower.step()
+            state = follower.step(pace=pace)
             assert not state.done
     moved = float(found[0].pieces[0].placement.translation[0]) + 9.0
-    assert moved == pytest.approx(-0.5 * plan.legs[2].begins, abs=0.5 * 3.0 * DT)
+    assert moved == pytest.approx(-0.5 * servo.time, abs=0.5 * 3.0 * DT)
+    assert servo.time > 0.9 * plan.legs[2].begins / pace
