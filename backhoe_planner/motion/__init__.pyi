@@ -46,6 +46,7 @@ from .timing.drive import LimitUsage as LimitUsage
 from .timing.drive import drive_of as drive_of
 from .timing.drive import limit_usage as limit_usage
 from .timing.joining import append_motion as append_motion
+from .timing.joining import join_at_stops as join_at_stops
 from .timing.joining import overlap as overlap
 from .timing.joining import slow_where_needed as slow_where_needed
 from .timing.moment_slopes import moment_slopes as moment_slopes

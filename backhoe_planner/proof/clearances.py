@@ -83,7 +83,7 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
         note(row, pairs, known[pairs] - proximity.clearance[pairs])
     for samples in bound_samples(proximity, time, q, enough, note, until=time):
         margins, measured = samples.margins, samples.measured
-        lowest = 0.5 * (margins[:-1] + margins[1:] - samples.ways)
+        lowest = samples.between
         for row, pair in np.argwhere(~(lowest >= enough)).tolist():
             a, b = (float(margins[k, pair]) if measured[k, pair] else None for k in (row, row + 1))
             way = float(samples.ways[row, pair])
@@ -293,8 +293,7 @@ def motion_is_clear(proximity: Proximity, time: Vector, q: Matrix) -> bool:
     # an obstacle that appears between two samples counts on the whole segment
     until = np.append(time[1:], time[-1])
     for samples in bound_samples(proximity, time, q, owed, note, until=until, stride=_STRIDE):
-        lowest = 0.5 * (samples.margins[:-1] + samples.margins[1:] - samples.ways)
-        doubtful = ~(lowest >= owed)
+        doubtful = ~(samples.between >= owed)
         for row in np.flatnonzero(doubtful.any(axis=1)).tolist():
             pairs, k = doubtful[row].nonzero()[0], samples.first + row
             way, dt = samples.ways[row, pairs], float(time[k + 1] - time[k])

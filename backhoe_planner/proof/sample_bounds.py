@@ -40,6 +40,11 @@ class SampleMargins:
     measured: Flags
     ways: Matrix
 
+    @property
+    def between(self) -> Matrix:
+        """(K - 1, P) lower bounds of the margins from each sample to the next [m]."""
+        return np.asarray(0.5 * (self.margins[:-1] + self.margins[1:] - self.ways))
+
 
 def bound_samples(
     proximity: Proximity, time: Vector, q: Matrix, enough: Vector,
@@ -172,10 +177,9 @@ class _Looks:
 
     def are_doubtful(self, samples: SampleMargins) -> Flags:
         """(K - 1,) whether a margin may be less than enough between one of these samples and the next."""
-        before, after = samples.margins[:-1], samples.margins[1:]
-        proven = 0.5 * (before + after - samples.ways) >= self._enough
+        proven = samples.between >= self._enough
         if self._some_appear:  # something that appears in between counts from then on
-            proven &= np.isfinite(before) | ~np.isfinite(after)
+            proven &= np.isfinite(samples.margins[:-1]) | ~np.isfinite(samples.margins[1:])
         return np.asarray(~proven.all(axis=1))
 
 

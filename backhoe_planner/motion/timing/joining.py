@@ -33,19 +33,27 @@ _ROUNDING = 1e-9  # s
 
 
 def append_motion(first: Trajectory, second: Trajectory, *, rest: Sequence[float] | Vector = ()) -> Trajectory:
-    """The first motion, then the second, with a stop between them; of the first, the beginnings of legs are kept.
+    """The first motion, then the second, with a stop between them; see `join_at_stops` for the `rest`."""
+    return join_at_stops((first, second), (rest,))
+
+
+def join_at_stops(motions: Sequence[Trajectory], rests: Sequence[Sequence[float] | Vector]) -> Trajectory:
+    """Motions one after the other, with a stop between each two; of the first, the beginnings of legs are kept.
 
     Parameters
     ----------
-    first, second: from rest to rest; the second begins where the first ends.
-    rest: samples at which the machine rests, in time after the end of the first motion [s], ascending; the second
-        motion begins at the last of them, or, without any, where the first ends.
+    motions: from rest to rest; each begins where the one before ends.
+    rests: for each stop, samples at which the machine rests, in time after the end of the motion before [s], ascending;
+        the next motion begins at the last of them, or, without any, where the one before ends.
     """
-    rests = first.time[-1] + np.asarray(rest, dtype=float)
-    begins = float(rests[-1]) if len(rests) else float(first.time[-1])
-    q = np.vstack((first.q, np.repeat(first.q[-1:], max(len(rests) - 1, 0), axis=0), second.q[not len(rests) :]))
-    time = np.concatenate((first.time, rests[:-1], begins + second.time[not len(rests) :]))
-    return Trajectory.from_steps(time, q, begins=first.begins)
+    time, q, end, place = [motions[0].time], [motions[0].q], motions[0].time[-1], motions[0].q[-1:]
+    for motion, rest in zip(motions[1:], rests, strict=True):
+        stops = end + np.asarray(rest, dtype=float)
+        begins, own = (stops[-1], slice(0, None)) if len(stops) else (end, slice(1, None))
+        time += [stops[:-1], begins + motion.time[own]]
+        q += [np.repeat(place, max(len(stops) - 1, 0), axis=0), motion.q[own]]
+        end, place = begins + motion.time[-1], motion.q[-1:]
+    return Trajectory.from_steps(np.concatenate(time), np.vstack(q), begins=motions[0].begins)
 
 
 def overlap(first: Trajectory, second: Trajectory, duration: float) -> tuple[Trajectory, slice]:

@@ -10,7 +10,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Kinematics, TipTarget
-from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, Trajectory, append_motion
+from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, Trajectory, join_at_stops
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.proof import Certificate
 
@@ -98,11 +98,12 @@ def join(motions: Sequence[Trajectory]) -> Trajectory:
 
     A motion that takes no time becomes a rest of one sample, so that every leg has a part of its own.
     """
-    whole, begins = Trajectory.from_steps(np.zeros(1), motions[0].q[:1]), []
+    parts, begins, count = [Trajectory.from_steps(np.zeros(1), motions[0].q[:1])], [], 0
     for motion in motions:
-        if np.max(np.abs(motion.q[0] - whole.q[-1])) > _SAME_PLACE:
+        if np.max(np.abs(motion.q[0] - parts[-1].q[-1])) > _SAME_PLACE:
             raise InputError("does not begin where the motion before has ended", key="motions")
         own = motion if len(motion) > 1 else Trajectory.from_steps(np.array([0.0, SAMPLE_PERIOD]), motion.q[[0, 0]])
-        begins.append(len(whole) - 1)
-        whole = append_motion(whole, own)
-    return replace(whole, begins=tuple(begins))
+        begins.append(count)
+        parts.append(own)
+        count += len(own) - 1
+    return replace(join_at_stops(parts, [()] * len(motions)), begins=tuple(begins))

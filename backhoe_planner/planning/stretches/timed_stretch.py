@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Problem, TipPath, Trajectory, append_motion
+from backhoe_planner.motion import Problem, TipPath, Trajectory, join_at_stops
 from backhoe_planner.planning.stretches.corners import round_corners, time_stretch
 from backhoe_planner.planning.stretches.stretch import Stretch
 from backhoe_planner.site import Proximity
@@ -51,8 +51,5 @@ def time_rounded(
 
 def join_motions(motions: Sequence[Trajectory]) -> Trajectory:
     """Motions from rest to rest, one after the other; the machine rests for one step between them."""
-    whole = motions[0]
-    for motion in motions[1:]:
-        if len(motion) > 1:
-            whole = append_motion(whole, motion, rest=np.diff(whole.time[-2:]))
-    return whole
+    moving = [motions[0], *(motion for motion in motions[1:] if len(motion) > 1)]
+    return join_at_stops(moving, [np.diff(motion.time[-2:]) for motion in moving[:-1]])
