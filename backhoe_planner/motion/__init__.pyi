@@ -40,6 +40,7 @@ from .problem import build_problem as build_problem
 from .problem import hand_set_gains as hand_set_gains
 from .problem import keep_of as keep_of
 from .smooth_way import SmoothWay as SmoothWay
+from .timing.braking import brake_along as brake_along
 from .timing.drive import DRIVE_TOLERANCE as DRIVE_TOLERANCE
 from .timing.drive import Drive as Drive
 from .timing.drive import LimitUsage as LimitUsage

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, drive_of, retime
+from backhoe_planner.motion import Trajectory, brake_along, drive_of, retime
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings, Reaction
 from backhoe_planner.planning.transit import find_transit
@@ -40,7 +39,6 @@ _SOON = (0.5, 1.5)  # s: shorter horizons, for a route to a refuge; chosen
 _REFUGES = 150  # random postures that may be refuges; chosen
 _ROOM = 0.02  # m of margin in a refuge; chosen
 _HALVINGS = 4  # of the time between a wait that is too short and one that is not; chosen
-_SLOWEST_BRAKING = 0.05  # 1/s; chosen: a motion whose clock would take more than 20 s to stop is not braked
 
 
 def plan_over_time(world: World, task: ToGoal | AlongPath, stepper: Stepper) -> Outcome:
@@ -171,7 +169,7 @@ class _OverTime:
     def _stop_and_plan(self, known: World, moving: Stepper, motion: Trajectory, moment: float) -> _Reply:
         """`motion` up to `moment` [s], then braking to rest, and a new motion from there."""
         stopped = moving.branch(attempt=moving.attempt)
-        braked = _brake_along(motion, moment, self._limits)
+        braked = brake_along(motion, moment, self._limits)
         if braked is not None and _is_clear(known.proximity, braked, moment) and known.keeps(braked):
             stopped.replay(braked, braked.duration)
             stopped.v = np.zeros_like(stopped.q)
@@ -185,7 +183,7 @@ class _OverTime:
 
     def _halt(self, motion: Trajectory, moment: float, why: str, obstruction: Obstruction | None = None) -> _Reply:
         """`motion` up to `moment` [s], then braking to rest along it, clear or not."""
-        halted = _brake_along(motion, moment, self._limits) or motion
+        halted = brake_along(motion, moment, self._limits) or motion
         return Outcome(halted, "blocked", why, Findings(obstruction=obstruction)), "", halted.duration
 
     def _duration(self, outcome: Outcome) -> float:
@@ -262,27 +260,6 @@ def _delay(motion: Trajectory, since: float, wait: float) -> Trajectory:
     split = int(np.searchsorted(motion.time, since - 1e-9))
     time = np.concatenate((motion.time[: split + 1], motion.time[split:] + wait))
     return Trajectory.from_steps(time, np.vstack((motion.q[: split + 1], motion.q[split:])))
-
-
-def _brake_along(motion: Trajectory, moment: float, limits: JointLimits) -> Trajectory | None:
-    """The motion up to `moment` [s], then braked along itself as hard as accelerations allow; None if too slow.
-
-    The motion's own clock slows down evenly, and stops after 1 / rate, or where the motion ends.
-    """
-    rate = 1.0 / SAMPLE_PERIOD
-    before = motion.time < moment - 1e-9
-    while rate > _SLOWEST_BRAKING:
-        count = max(int(np.ceil(1.0 / (rate * SAMPLE_PERIOD))), 1)
-        run = np.linspace(0.0, 1.0 / rate, count + 1)[1:]
-        own = moment + run - 0.5 * rate * run**2
-        ends = 1 + int(np.searchsorted(own, motion.duration))
-        run, own = run[:ends], own[:ends]
-        time = np.concatenate((motion.time[before], [moment], moment + run))
-        braked = Trajectory.from_steps(time, np.vstack((motion.q[before], motion.at(np.append(moment, own)))))
-        if float(np.max(np.abs(braked.corner_accelerations()) / limits.acceleration)) <= 1.0 + 1e-7:
-            return braked
-        rate *= 0.8
-    return None
 
 
 def _from_the_beginning(obstacle: Obstacle) -> Obstacle:
