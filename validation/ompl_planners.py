@@ -5,7 +5,7 @@ lengths are times [s]. Goals are several clear configurations. The path that a p
 its time is shortened, rounded and timed by the package itself, so that only the path is compared.
 
 RRTConnect ends at its first path; it is restarted with other seeds until the time is over, and the
-shortest path counts. The others improve their path for as long as they may.
+shortest path counts. The others improve their path for as long as they may; AORRTC searches anew for ever cheaper ones.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from backhoe_planner.planning import (
     shorten,
 )
 
-PLANNERS = ("RRTConnect", "RRTstar", "InformedRRTstar", "BITstar")
+PLANNERS = ("RRTConnect", "RRTstar", "InformedRRTstar", "BITstar", "AORRTC")
 SPARE = 0.002  # m kept beyond every clearance, as by the package's own search in narrow places
 _MOST_GOALS = 12
 _RANGE = 1.0  # s of joint time: the longest motion added to a tree
