@@ -121,6 +121,11 @@ class Scene(FileRecord):
         return self
 
     @property
+    def title(self) -> str:
+        """The name; without one that of the scene's file, without its ending."""
+        return self.name or ("untitled scene" if self.file is None else self.file.stem)
+
+    @property
     def objective_or_default(self) -> ObjectiveName:
         """The name of what a plan minimises: by default the time, along a path the work."""
         return self.objective or ("time" if self.task.path is None else "work")

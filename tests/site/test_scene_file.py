@@ -151,6 +151,14 @@ def test_missing_keys_have_the_documented_defaults() -> None:
     assert (followed.speed, followed.tolerance, followed.detour) == (None, 0.005, True)
 
 
+def test_a_scene_without_a_name_has_the_title_of_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "bench.two.yaml"
+    file.write_text(yaml.safe_dump(GOAL), encoding="utf-8")
+    assert load_scene(file).title == "bench.two"
+    assert scene_from_dict(GOAL).title == "untitled scene"
+    assert scene_from_dict(GOAL | {"name": "dig"}).title == "dig"
+
+
 def test_start_may_be_left_out_with_a_path() -> None:
     found = path(*POINTS)
     del found["start"]

@@ -80,7 +80,7 @@ def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:
     """The page as text, and what could not be drawn as the URDF specifies, in words."""
     display = Display()
     graph = show_plan(display, plan)
-    return page_of(plan.scene.name or "plan", display), graph.warnings
+    return page_of(plan.scene.title, display), graph.warnings
 
 
 def page_of(title: str, display: Display, *, css: str = "", body: str = "", script: str = "") -> str:

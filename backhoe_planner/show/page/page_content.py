@@ -126,7 +126,7 @@ def tell_problem(
     of_problem = "to a goal" if problem.goals else of_problem
     of_problem = f"a sequence of {len(problem.legs)} legs" if problem.legs else of_problem
     content = {
-        "title": scene.name or ("untitled scene" if scene.file is None else scene.file.stem),
+        "title": scene.title,
         "subtitle": f"{robot.name}, {task or of_problem}",
         "obstacles": list(listed.values()),
         "loads": graph.loads,

@@ -72,7 +72,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     problem = plan.problem
     frames = timeline(problem, plan.trajectory)
     verdict = "verified" if plan.verified else f"failed: {plan.reason.replace('_', ' ')}"
-    title = f"{plain_text(plan.scene.name or plan.robot.name)}: {verdict} ({plan.settings})"
+    title = f"{plain_text(plan.scene.title)}: {verdict} ({plan.settings})"
     if plan.trajectory.duration == 0.0:
         heights = posture_heights(problem, frames)
         figure.set_size_inches(_WIDTH, sum(heights) + 0.9)
