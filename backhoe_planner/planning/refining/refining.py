@@ -34,9 +34,9 @@ _MUCH_GAIN_FRUGAL = (0.04, 0.05, 0.1, 0.1)  # the same for frugal searches; meas
 _FINER = 8  # times more fine rounds for another cost than the time; chosen
 # other motions that are refined if refining pays, and up to how many times the cost of the best; chosen
 _OTHERS_REFINED, _NEARLY_AS_CHEAP = 2, 1.2
-# rounds of the descents of a search, without refining, above which it is hard: another search, or more hops, may find a
-# much cheaper motion; chosen: two sites in three have more
-HARD = 34
+# rounds of the descents of a search, without refining, above which it is hard and more hops may find a much cheaper
+# motion; chosen: two plans in five have more. With 70 one of 60 plans costs 1.23 times as much
+_HARD = 34
 # basin hopping, see `_hop`: of motions that cost between so many times what counts as little, as below it finer
 # curves suffice. Measured with 480 hops on 30 sites of backhoe and telescope: below 60 times 44 of 100 gain 5 % and
 # more, and one at least on 11 of 13 sites, but from 40 on finer curves leave little of that; above 60 times it is one
@@ -51,8 +51,8 @@ _HOPS, _HOP_GAINS = 24, 0.01  # at most, and the part of the cost that counts as
 # left after half of the hops. With 4 or 8 pieces it is 1.03 and 1.00 of that, and with four hops without a gain
 # it is the same in the mean, but one of 60 sites costs 1.7 times as much
 _FEW_JOINTS, _DRAWN, _DULL = 5, (8, 1), 6
-# the same after a hard search, see `HARD`: of 67 plans of backhoe and telescope, chosen on these, three then cost 0.37,
-# 0.76 and 0.81 times as much and one 1.007 times, in 1.09 times the mean time; with 24 it is the same
+# the same after a hard search, see `_HARD`: of 67 plans of backhoe and telescope, on which it was chosen, three then
+# cost 0.37, 0.76 and 0.81 times as much and one 1.007 times, in 1.09 times the mean time; with 24 it is the same
 _DULL_OF_HARD = 12
 # the same with more joints: of 128 hops of seven joints as they are drawn none gains. On 42 plans of the Panda three
 # cost 0.80 to 0.83 times as much with these, in 1.02 of the time, and with twelve without a gain it is 1.26. A coarse
@@ -157,7 +157,7 @@ class Refining:
         rounds.reserve(max(rounds.left, 0))  # hops have rounds of their own, and finer curves need theirs
         work.add_rounds("hop_rounds")
         few = problem.robot.n <= _FEW_JOINTS
-        dull_of_few = _DULL_OF_HARD if self.rounds_before > HARD else _DULL
+        dull_of_few = _DULL_OF_HARD if self.rounds_before > _HARD else _DULL
         drawn, patience = (_DRAWN, dull_of_few) if few else (_DRAWN_OF_MANY, _DULL_OF_MANY)
         rng, dull = np.random.default_rng(self._seed), 0
         for most, count in itertools.islice(itertools.cycle(itertools.product(_ASIDE, drawn)), _HOPS):
