@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 _TOLD = 5  # differences that are listed one by one; chosen
-_SAME = 1e-6  # part of a figure, or of 1 in its unit: rounding of another computer's libraries
+SAME_FIGURE = 1e-6  # part of a figure, or of 1 in its unit: rounding of another computer's libraries
 
 
 def differences(
@@ -43,7 +43,9 @@ def _compared(
 
 def _same(said: Any, found: Any) -> bool:
     if isinstance(said, float) and isinstance(found, float):
-        return math.isclose(said, found, rel_tol=_SAME, abs_tol=_SAME) or (math.isnan(said) and math.isnan(found))
+        return math.isclose(said, found, rel_tol=SAME_FIGURE, abs_tol=SAME_FIGURE) or (
+            math.isnan(said) and math.isnan(found)
+        )
     return bool(said == found)
 
 

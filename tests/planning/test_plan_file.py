@@ -493,3 +493,48 @@ def test_a_plan_with_held_joints_is_read_with_the_same_joints(planar4: bp.Robot,
     (tmp_path / "other.json").write_text(json.dumps(content))
     with pytest.raises(bp.PlanFileError, match=r"scene: hold: .*no such joint; found joint7"):
         bp.load_plan(tmp_path / "other.json")
+
+
+@pytest.fixture(scope="module")
+def there_and_back(planar4: bp.Robot) -> bp.Plan:
+    legs = [
+        {"name": "there", "goal": {"joints": dict.fromkeys(JOINTS, 0.4)}},
+        {"name": "rest", "wait": 0.5},
+        {"name": "back", "goal": {"joints": dict.fromkeys(JOINTS, 0.0)}},
+    ]
+    scene = {"version": 1, "start": {"joints": dict.fromkeys(JOINTS, 0.0)}, "task": {"sequence": legs}}
+    return bp.plan(planar4, bp.scene_from_dict(scene), effort="quick")
+
+
+@pytest.mark.parametrize(
+    ("leg", "key", "off", "said", "allowed"),
+    [
+        (1, "begins", 0.5, "legs[1].begins: is not when this leg begins", "the time of its first sample"),
+        (2, "begins", -1e-4, "legs[2].begins: is not when this leg begins", "the time of its first sample"),
+        (1, "last", 1, "legs[1].last: is not the last sample of this leg", "the first of the next leg"),
+        (2, "last", -1, "legs[2].last: is not the last sample of this leg", "the last"),
+        (0, "first", 1, "legs[0].first: is no sample at which this leg can begin", "allowed: 0"),
+        (2, "first", -40, "legs[2].first: is no sample at which this leg can begin", "allowed: "),
+    ],
+)
+def test_a_leg_that_does_not_begin_or_end_at_its_samples_is_refused(
+    there_and_back: bp.Plan, tmp_path: Path, leg: int, key: str, off: float, said: str, allowed: str
+) -> None:
+    file, content = saved(there_and_back, tmp_path)
+    assert bp.load_plan(file).verified
+    content["legs"][leg][key] += off
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(bp.PlanFileError) as refused:
+        bp.load_plan(file)
+    for words in (str(file), said, f"found {content['legs'][leg][key]}", allowed):
+        assert words in str(refused.value)
+
+
+def test_a_leg_that_is_moved_to_other_samples_is_refused(there_and_back: bp.Plan, tmp_path: Path) -> None:
+    """Where it begins is said by its time as well."""
+    file, content = saved(there_and_back, tmp_path)
+    content["legs"][0]["last"] -= 3
+    content["legs"][1]["first"] -= 3
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(bp.PlanFileError, match=re.escape("legs[1].begins: is not when this leg begins")):
+        bp.load_plan(file)

@@ -7,6 +7,7 @@ motion (certificate, dynamics, metrics, bound, versions) is for other programs: 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,6 +16,7 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, StrictInt, ValidationError, model_serializer, model_validator
 
 from backhoe_planner.errors import InputError, PlanFileError
+from backhoe_planner.files.differences import SAME_FIGURE
 from backhoe_planner.files.file_kinds import refuse_other_kind
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.files.text_file import read_text
@@ -308,9 +310,37 @@ def read_plan_file(file: Path) -> PlanRecord:
             found=repr(content.get("version")), allowed=str(VERSION),
         )  # fmt: skip
     try:
-        return PlanRecord.model_validate(content)
+        record = PlanRecord.model_validate(content)
     except ValidationError as error:
         raise PlanFileError(explain(error, content, root=PlanRecord), file=file) from None
+    _check_legs(record, file)
+    return record
+
+
+def _check_legs(record: PlanRecord, file: Path) -> None:
+    """PlanFileError if legs do not begin and end at samples one after the other, at their times."""
+    firsts, time = [leg.first for leg in record.legs], record.trajectory.time
+    for index, first in enumerate(firsts):
+        low, high = (0, 0) if index == 0 else (firsts[index - 1] + 1, len(time) - 1)
+        if not low <= first <= high or not time:
+            allowed = "0" if index == 0 else f"{low} to {high}" if low <= high else "no leg after the last sample"
+            raise PlanFileError(
+                "is no sample at which this leg can begin", file=file, key=f"legs[{index}].first", found=first,
+                allowed=allowed,
+            )  # fmt: skip
+    for index, leg in enumerate(record.legs):
+        following = index + 1 < len(firsts)
+        last, which = (firsts[index + 1], "the first of the next leg") if following else (len(time) - 1, "the last")
+        if leg.last != last:
+            raise PlanFileError(
+                "is not the last sample of this leg", file=file, key=f"legs[{index}].last", found=leg.last,
+                allowed=f"{last}, {which}",
+            )  # fmt: skip
+        if not math.isclose(leg.begins, time[leg.first], rel_tol=SAME_FIGURE, abs_tol=SAME_FIGURE):
+            raise PlanFileError(
+                "is not when this leg begins", file=file, key=f"legs[{index}].begins", found=leg.begins,
+                allowed=f"{time[leg.first]:.9g}, the time of its first sample, {leg.first}",
+            )  # fmt: skip
 
 
 def _refuse_constant(name: str) -> float:
