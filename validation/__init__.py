@@ -20,7 +20,7 @@ and no script.
     surfaces           points on every link's collision shape
     independent_check  the least distances of a whole motion, and refutations of a certificate
     held_loads         the torques that hold machine and payload at rest, by virtual work
-    motion_loads       velocities, accelerations and torques of a motion, and the limits that it exceeds
+    motion_loads       velocities, accelerations, torques and oil of a motion, and the limits that it exceeds
     telescope          an excavator with a telescopic stick, as URDF text
     pose_arms          redundant arms for paths of full poses, as URDF text
     pose_paths         paths of full poses on these arms
@@ -39,6 +39,8 @@ and no script.
     recoveries         a servo that starts inside an obstacle or outside a limit
     walking_people     the servo among walking people: its steps and its contacts
     raw_urdf           a URDF as written: links, shapes, masses, joints and their placements
+    raw_drive          cylinders, pump and engine as described: lengths, levers, flows, pressures
+    raw_soil           the force of the soil on the teeth, from the equilibrium of a wedge
     raw_obstacles      the obstacles of a scene as written
     convex_gaps        distances of convex parts, never below the true ones
     dense_sweep        the least distances of a moving machine, by dense samples

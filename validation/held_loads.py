@@ -1,8 +1,8 @@
 """Whether a machine holds itself and its payload where a motion begins and ends at rest, by virtual work.
 
 The torque that holds a joint is the slope of the potential energy, and the force of a cylinder acts on its joint over
-the slope of its length. Masses, centres and placements are those of the URDF as written. Neither inverse dynamics nor
-moment arms of the package take part.
+the slope of its length. Masses, centres, placements and pins are those of the files as written. Neither inverse
+dynamics nor moment arms of the package take part.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Problem, Trajectory, leg_parts
+from validation.raw_drive import RawDrive, read_raw_drive
 from validation.raw_urdf import RawMachine, read_raw_urdf
 
 GRAVITY = 9.81  # m/s^2
@@ -29,7 +30,7 @@ def unheld_loads(problem: Problem, motion: Trajectory) -> list[str]:
     """
     robot = problem.robot
     machine = read_raw_urdf(robot.urdf.path, find_mesh=robot.urdf.mesh_path, hold=robot.hold)
-    found = []
+    drive, found = drive_of(robot, machine), []
     for part in leg_parts(problem, motion):
         scene, moved = part.problem.scene, part.motion
         for row in (0, -1):
@@ -38,7 +39,7 @@ def unheld_loads(problem: Problem, motion: Trajectory) -> list[str]:
             q, where = moved.q[row], f"at {part.begins + moved.time[row]:.3f} s"
             offset = np.zeros(3) if scene.payload_at is None else np.array(scene.payload_at)
             torque = holding_torques(machine, robot, q, payload=scene.payload, payload_at=offset)
-            limit = greatest_torques(robot, q, torque, part.problem.limits.effort)
+            limit = greatest_torques(drive, q[None, :], torque[None, :], part.problem.limits.effort)[0]
             for joint in np.flatnonzero(np.abs(torque) > (1.0 + _SLACK) * limit).tolist():
                 name, needed = robot.joint_names[joint], f"{abs(torque[joint]):.6g} of {limit[joint]:.6g}"
                 found.append(f"{name} needs {needed} N m or N to hold its load {where}")
@@ -63,22 +64,21 @@ def holding_torques(machine: RawMachine, robot: Robot, q: Vector, *, payload: fl
     return _slopes(energy, q)
 
 
-def greatest_torques(robot: Robot, q: Vector, torque: Vector, effort: Vector) -> Vector:
-    """(n,) the greatest torque of each joint in the direction of `torque` (n,), at q (n,) [N m or N].
+def drive_of(robot: Robot, machine: RawMachine) -> RawDrive | None:
+    """The cylinders of a robot, whose links are those of `machine`; None without a hydraulic description."""
+    described = robot.hydraulics
+    return None if described is None else read_raw_drive(described.file, machine, robot.joint_names)
+
+
+def greatest_torques(drive: RawDrive | None, q: Matrix, torque: Matrix, effort: Vector) -> Matrix:
+    """(T, n) the greatest torque of each joint in the direction of `torque` (T, n), at q (T, n) [N m or N].
 
     Parameters
     ----------
     effort: (n,) the joints' own [N m or N].
     """
-    hydraulics = robot.hydraulics
-    if hydraulics is None:
-        return effort
-    oil, arms = np.full(robot.n, np.inf), _slopes(hydraulics.lengths, q)
-    for index, (cylinder, joint) in enumerate(zip(hydraulics.cylinders, hydraulics.joint_of.tolist(), strict=True)):
-        arm, bore, rod = arms[joint, index], cylinder.bore, cylinder.rod
-        area = 0.25 * np.pi * (bore**2 if arm * torque[joint] > 0.0 else bore**2 - rod**2)
-        oil[joint] = (0.0 if np.isinf(oil[joint]) else oil[joint]) + hydraulics.pressure * area * abs(arm)
-    return np.asarray(np.minimum(effort, oil))
+    own = np.broadcast_to(effort, q.shape)
+    return own if drive is None else np.minimum(own, drive.greatest_torques(q, torque))
 
 
 def _slopes(value: Callable[[Matrix], Array], q: Vector) -> Array:

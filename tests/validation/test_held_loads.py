@@ -12,7 +12,7 @@ import backhoe_planner as bp
 from backhoe_planner.machine import Dynamics
 from backhoe_planner.motion import Problem, build_problem
 from validation.habitats import load_machine
-from validation.held_loads import greatest_torques, holding_torques, unheld_loads
+from validation.held_loads import drive_of, greatest_torques, holding_torques, unheld_loads
 from validation.independent_check import refutations
 from validation.raw_urdf import read_raw_urdf
 
@@ -39,13 +39,14 @@ def test_virtual_work_gives_the_torques_of_inverse_dynamics(name: str) -> None:
 
 def test_cylinders_hold_as_much_as_their_moment_arms_say(backhoe: bp.Robot) -> None:
     rng = np.random.default_rng(5)
+    machine = read_raw_urdf(backhoe.urdf.path, find_mesh=backhoe.urdf.mesh_path, hold=backhoe.hold)
     assert backhoe.hydraulics is not None
     for _ in range(4):
         q = backhoe.random_q(rng)
         limits = backhoe.hydraulics.torque_limits(q)
         for sign, limit in ((1.0, limits.positive), (-1.0, limits.negative)):
-            found = greatest_torques(backhoe, q, np.full(4, sign), np.full(4, np.inf))
-            np.testing.assert_allclose(found, limit, rtol=1e-5, atol=1.0)
+            found = greatest_torques(drive_of(backhoe, machine), q[None, :], np.full((1, 4), sign), np.full(4, np.inf))
+            np.testing.assert_allclose(found[0], limit, rtol=1e-5, atol=1.0)
 
 
 def test_a_lever_that_is_too_weak_for_its_load_is_refuted_at_the_end_where_it_is(tmp_path: Path) -> None:

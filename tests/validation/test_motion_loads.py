@@ -147,3 +147,93 @@ def test_a_file_whose_samples_or_figures_are_spoiled_is_refuted(
     file.write_text(json.dumps(said))
     lines = file_contradictions(file)
     assert all(any(word in line for line in lines) for word in words), lines
+
+
+@pytest.fixture(scope="module")
+def cut(backhoe: bp.Robot) -> bp.Plan:
+    """A quick cut through firm soil."""
+    ways = [([4.4, 0.3], 0.05, [-2.3, -1.0]), ([3.9, 0.27], -0.15, [-2.3, -1.0]), ([3.3, 0.23], -0.15, [-2.7, -1.2])]
+    path = {"waypoints": [{"position": [*at, z], "pitch": pitch} for at, z, pitch in ways], "tolerance": 0.02}
+    soil = {"cohesion": 12000.0, "adhesion": 500.0}
+    content = {"version": 1, "task": {"path": path}, "soil": soil, "objective": "time"}
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified
+    assert plan.certificate.hydraulics is not None
+    return plan
+
+
+def test_a_cut_through_soil_and_its_file_are_not_contradicted(cut: bp.Plan, tmp_path: Path) -> None:
+    assert motion_contradictions(cut) == []
+    cut.save(tmp_path / "plan.json")
+    assert file_contradictions(tmp_path / "plan.json") == []
+
+
+def test_soil_that_is_harder_than_that_of_the_certificate_is_refuted(cut: bp.Plan) -> None:
+    """Of rock, with a cohesion of 1 MPa, no backhoe cuts 0.15 m in seconds."""
+    own = cut.scene.soil
+    assert own is not None
+
+    def lines(cohesion: float) -> list[str]:
+        soil = own.model_copy(update={"cohesion": cohesion})
+        problem = dataclasses.replace(cut.problem, scene=cut.scene.model_copy(update={"soil": soil}))
+        return motion_contradictions(dataclasses.replace(cut, problem=problem))
+
+    assert any("torque of" in line and "said are" in line for line in lines(30000.0))
+    for kind in ("torque", "engine power"):
+        assert any(f"{kind} of" in line and "allowed are" in line for line in lines(1e6)), kind
+
+
+def test_a_cut_in_nine_tenths_of_the_time_asks_too_much_of_the_pump(cut: bp.Plan) -> None:
+    assert cut.certificate.hydraulics is not None
+    assert cut.certificate.hydraulics.kind == "pump flow"
+    assert cut.certificate.hydraulics.ratio > 0.95
+    faster = bp.Trajectory.from_steps(0.9 * cut.trajectory.time, cut.trajectory.q)
+    lines = motion_contradictions(dataclasses.replace(cut, trajectory=faster))
+    assert any("pump flow of" in line and "allowed are" in line for line in lines), lines
+
+
+def test_a_certificate_that_says_too_little_of_the_pump_is_refuted(cut: bp.Plan) -> None:
+    use = cut.certificate.hydraulics
+    assert use is not None
+    less = dataclasses.replace(cut.certificate, hydraulics=dataclasses.replace(use, ratio=0.98 * use.ratio))
+    said = f"said are {98.0 * use.ratio:.2f} %"
+    assert any(said in line for line in refutations(dataclasses.replace(cut, certificate=less)))
+
+
+def spoil_soil(said: dict[str, Any]) -> None:
+    said["scene"]["soil"]["cohesion"] *= 2.0
+
+
+def spoil_power(said: dict[str, Any]) -> None:
+    powers = said["dynamics"]["power"]
+    powers[int(np.argmax(powers))] *= 0.98
+
+
+def spoil_pump(said: dict[str, Any]) -> None:
+    powers = said["dynamics"]["hydraulic_power"]
+    powers[int(np.argmax(powers))] *= 0.98
+
+
+def spoil_flow(said: dict[str, Any]) -> None:
+    said["certificate"]["limits"]["hydraulics"]["ratio"] *= 0.98
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (spoil_soil, "a torque of"),
+        (spoil_power, "all joints at"),
+        (spoil_pump, "the pump at"),
+        (spoil_flow, "a pump flow of"),
+    ],
+)
+def test_a_file_that_says_too_little_of_soil_or_oil_is_refuted(
+    cut: bp.Plan, tmp_path: Path, spoil: Callable[[dict[str, Any]], None], words: str
+) -> None:
+    file = tmp_path / "plan.json"
+    cut.save(file)
+    said = json.loads(file.read_text())
+    spoil(said)
+    file.write_text(json.dumps(said))
+    lines = file_contradictions(file)
+    assert any(words in line for line in lines), lines
