@@ -21,6 +21,7 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import PathCost, Problem, TipPath, Trajectory, build_problem, trajectory_costs
 from backhoe_planner.planning import (
+    Layering,
     PathResolver,
     Stretch,
     cheapen_stretch,
@@ -216,7 +217,7 @@ def _route_costs(problem: Problem, path: TipPath, grid: float, layer: float) -> 
     objective, proximity = PathCost(problem), bp.Proximity(problem.robot, ())
     resolver = PathResolver(
         problem, path, proximity=proximity, find_detour=lambda *_: None,
-        cost=objective.step_costs, grid=np.radians(grid), layer=layer,
+        cost=objective.step_costs, layering=Layering(layer, float(np.radians(grid))),
     )  # fmt: skip
     found = resolver.resolve(None, detours=False)
     if found.obstruction is not None:

@@ -1,3 +1,4 @@
+from .paths.layer_stations import Layering as Layering
 from .paths.layered_graph import Edge as Edge
 from .paths.layered_graph import EdgeKind as EdgeKind
 from .paths.layered_graph import LayeredGraph as LayeredGraph

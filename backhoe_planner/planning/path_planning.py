@@ -23,9 +23,10 @@ from backhoe_planner.motion import (
     slow_tip,
 )
 from backhoe_planner.planning.law_following import follow_with_law
+from backhoe_planner.planning.paths.layer_stations import Layering
 from backhoe_planner.planning.paths.path_layers import freest, redundancy_of
 from backhoe_planner.planning.paths.path_resolution import PathResolver
-from backhoe_planner.planning.paths.resolution import Bypass, Resolution
+from backhoe_planner.planning.paths.resolution import Bypass, Departure, Resolution
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.effort import OutOfTime
@@ -51,8 +52,9 @@ from backhoe_planner.site import ClearanceScreen
 
 _ROOM = 5e-4  # m of margin below which the samples are closer; chosen: about the sagitta of chords
 _FINE_PERIOD = SAMPLE_PERIOD / 5.0  # s between such samples: chords are 25 times nearer to the curve
-_GRID = np.radians(2.5)  # of the free parameter, if there is only one: half the usual step, which is then affordable
-_LAYER = 0.1  # m of path between layers in that case: twice the usual, so that a route can turn slowly
+# if there is only one free parameter: half the usual step of it, which is then affordable, and twice the usual distance
+# between layers, so that a route can turn slowly
+_DENSE = Layering(spacing=0.1, grid=float(np.radians(2.5)))
 _MOST_DENSER = 3  # times that samples are inserted into a stretch; chosen: a curve then swings out by an eighth
 _STEP_SPARE = 1e-3  # part of the allowed joint step between waypoints that is kept for chords and round corners; chosen
 _TO_THE_END = 2  # of the other ways, roughly made cheaper, that are made cheaper to the end; chosen
@@ -108,13 +110,10 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
             world.problem,
             path,
             proximity=world.proximity,
-            since=low,
-            begin=begin,
-            time=time,
-            work=world.work,
             cost=cost.step_costs,
-            **({"grid": _GRID, "layer": _LAYER} if redundancy == 1 else {}),
-            joint_steps=joint_steps,
+            work=world.work,
+            departure=Departure(low, begin, time),
+            layering=replace(_DENSE if redundancy == 1 else Layering(), joint_steps=joint_steps),
             apart=np.array([world.apart.get((pair.link, pair.name), 0.0) for pair in world.proximity.pairs]),
             find_detour=lambda a, b, low, high: find_detour(world, path, a, b, low, high, time=time),
         )

@@ -21,6 +21,7 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import OBJECTIVES, PathCost, Problem, Trajectory, build_problem, trajectory_costs
 from backhoe_planner.planning import (
     LayeredGraph,
+    Layering,
     PathLayers,
     PathResolver,
     Stretch,
@@ -63,7 +64,8 @@ def resolved(problem: Problem, objective: PathCost, *, grid: float, layer: float
     assert problem.path is not None
     resolver = PathResolver(
         problem, problem.path, proximity=bp.Proximity(problem.robot, problem.obstacles),
-        find_detour=lambda *_: None, cost=objective.step_costs, grid=np.radians(grid), layer=layer,
+        find_detour=lambda *_: None, cost=objective.step_costs,
+        layering=Layering(layer, float(np.radians(grid))),
     )  # fmt: skip
     (piece,) = resolver.resolve(None, detours=False).pieces
     assert isinstance(piece, Stretch)

@@ -14,6 +14,7 @@ import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import OBJECTIVES, PathCost, Problem, build_problem, step_lengths
 from backhoe_planner.planning import (
+    Layering,
     PathLayers,
     PathResolver,
     Resolution,
@@ -336,7 +337,7 @@ def resolved_with_two_layers(elbow: bp.Robot, **keys: Any) -> tuple[Problem, Res
     proximity = bp.Proximity(elbow, problem.obstacles)
     resolver = PathResolver(
         problem, problem.path, proximity=proximity, find_detour=lambda *_: None,
-        cost=PathCost(problem).step_costs, layer=2.0, joint_steps=problem.joint_steps,
+        cost=PathCost(problem).step_costs, layering=Layering(spacing=2.0, joint_steps=problem.joint_steps),
     )  # fmt: skip
     return problem, resolver.resolve(None, detours=False)
 

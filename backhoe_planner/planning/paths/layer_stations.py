@@ -1,7 +1,8 @@
-"""The arc lengths of a path at which the layers of the graph are."""
+"""How dense the nodes of a path's graph are, and the arc lengths at which its layers are."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,6 +14,29 @@ from backhoe_planner.planning.stretches.corners import SHARP
 _MANY_LAYERS = 160  # chosen to bound the work: on a path that needs more they are further apart,
 _WIDEST_LAYER = 0.25  # m, but at most this: five times the usual
 _SAME = 1e-9  # m of path: layers nearer than this are at one place
+
+
+@dataclass(frozen=True, eq=False)
+class Layering:
+    """How dense the nodes of the graph are along a path and at each place of it.
+
+    Attributes
+    ----------
+    spacing: arc length between layers [m].
+    grid: step of the free parameter, if there is one [rad; m for a slide].
+    joint_steps: (n,) how far a joint may move from waypoint to waypoint [rad or m]; then the layers
+        are at waypoints. None if all may move freely.
+    """
+
+    spacing: float = 0.05  # chosen
+    grid: float = float(np.radians(5.0))  # chosen: refined afterwards
+    joint_steps: Vector | None = None
+
+    def stations(self, path: TipPath, since: float) -> Vector:
+        """(L,) arc lengths of the layers [m] from `since` to the end."""
+        if self.joint_steps is None:
+            return layer_stations(path, since, self.spacing)
+        return waypoint_stations(path, since, self.spacing)
 
 
 def layer_stations(path: TipPath, since: float, spacing: float) -> Vector:

@@ -17,7 +17,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, WaypointStep, longest_step
-from backhoe_planner.planning.paths.layer_stations import layer_stations, waypoint_stations
+from backhoe_planner.planning.paths.layer_stations import Layering
 from backhoe_planner.planning.paths.layered_graph import (
     Edge,
     EdgeKind,
@@ -28,7 +28,7 @@ from backhoe_planner.planning.paths.layered_graph import (
     step_ratios,
 )
 from backhoe_planner.planning.paths.path_layers import PathLayers
-from backhoe_planner.planning.paths.resolution import Bypass, Resolution
+from backhoe_planner.planning.paths.resolution import Bypass, Departure, Resolution
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.stretches.kept_cones import kept_targets, open_cones
 from backhoe_planner.planning.stretches.stretch import BENT, JUMP, NEARER, STRAIGHT_STEP, Stretch
@@ -37,8 +37,6 @@ from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
 FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
 
-_LAYER = 0.05  # m of path between layers; chosen
-_GRID = np.radians(5.0)  # of the free parameter; chosen: refined afterwards
 _SAME = 1e-9  # m of path: layers nearer than this are at one place
 _FINE = 0.01  # m of path between the samples of a stretch; chosen
 _EXTENSION = 0.005  # m: resolution with which a detour begins late and ends early; chosen: half of `_FINE`
@@ -75,15 +73,10 @@ class PathResolver:
     ----------
     find_detour: function of two configurations (n,) and their arc lengths [m]; returns
         (K, n) corners of a route between them, or None.
-    since: arc length from which the path is resolved [m].
-    begin: (n,) joints with the tip on the path there, from which it has to be followed.
-    time: at which the positions of the obstacles are taken [s].
-    work: how many routes are tested, and how many detours are searched.
     cost: of a step, as for `LayeredGraph`.
-    grid: step of the free parameter, if there is one [rad; m for a slide].
-    layer: arc length between layers [m].
-    joint_steps: (n,) how far a joint may move from waypoint to waypoint [rad or m]; then the layers
-        are at waypoints. None if all may move freely.
+    work: how many routes are tested, and how many detours are searched.
+    departure: from where and when the path is resolved; by default from its beginning.
+    layering: how dense the nodes are.
     apart: (P,) how much more than its clearance each pair of `proximity` keeps, wherever it can [m]; by default none.
     """
 
@@ -94,35 +87,32 @@ class PathResolver:
         *,
         proximity: Proximity,
         find_detour: FindDetour,
-        since: float = 0.0,
-        begin: Vector | None = None,
-        time: float = 0.0,
-        work: Work | None = None,
         cost: StepCost,
-        grid: float = _GRID,
-        layer: float = _LAYER,
-        joint_steps: Vector | None = None,
+        work: Work | None = None,
+        departure: Departure | None = None,
+        layering: Layering | None = None,
         apart: Vector | None = None,
     ) -> None:
         self._problem = problem
         self._path = path
         self._proximity = proximity
         self._find_detour = find_detour
-        self._time = time
+        departure, layering = departure or Departure(), layering or Layering()
+        self._time = time = departure.time
         self._work = work or Work()
         self._cost = cost
         self._kinematics = BatchKinematics(problem.robot)
-        self._steps = joint_steps
-        self._stations = (
-            layer_stations(path, since, layer) if joint_steps is None else waypoint_stations(path, since, layer)
-        )
+        self._steps = layering.joint_steps
+        self._stations = layering.stations(path, departure.since)
         task = problem.scene.task.path
-        self._may_turn = (task is None or task.turn_on_the_spot) and joint_steps is None
+        self._may_turn = (task is None or task.turn_on_the_spot) and layering.joint_steps is None
         self._targets = [path.target(float(s)) for s in self._stations]
         self._cones = open_cones(problem, path)
         longest = np.inf if problem.joint_steps is None else float(np.min(problem.joint_steps))
-        self._finder = PathLayers(problem.robot, grid=grid, longest=longest, cones=self._cones, brake=self._work.brake)
-        self._all = self._finder.at(self._stations, self._targets, begin=begin)
+        self._finder = PathLayers(
+            problem.robot, grid=layering.grid, longest=longest, cones=self._cones, brake=self._work.brake
+        )
+        self._all = self._finder.at(self._stations, self._targets, begin=departure.begin)
         self._screen = ClearanceScreen(proximity, time=time, spare=-NEARER)
         self._apart = None
         if apart is not None and np.count_nonzero(apart):

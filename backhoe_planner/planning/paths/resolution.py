@@ -1,13 +1,29 @@
-"""What resolving a path gives: stretches on which the tip follows it, detours between them, and what is in the way."""
+"""From where a path is resolved, and what that gives: stretches on the path, detours, and what is in the way."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import WaypointStep
 from backhoe_planner.planning.stretches.stretch import Stretch
 from backhoe_planner.site import Obstruction
+
+
+@dataclass(frozen=True, eq=False)
+class Departure:
+    """From where and when a path is resolved.
+
+    Attributes
+    ----------
+    since: arc length [m].
+    begin: (n,) joints with the tip on the path there, from which it has to be followed; None for any.
+    time: at which the positions of the obstacles are taken [s].
+    """
+
+    since: float = 0.0
+    begin: Vector | None = None
+    time: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
