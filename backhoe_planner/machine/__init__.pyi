@@ -46,6 +46,7 @@ from .hydraulics.linkage import FourBar as FourBar
 from .hydraulics.linkage import Triangle as Triangle
 from .joint_travel import travel_times as travel_times
 from .joint_travel import travel_within as travel_within
+from .keyed_robot import KeyedRobot as KeyedRobot
 from .kinematics.inverse_kinematics import InverseKinematics as InverseKinematics
 from .kinematics.inverse_kinematics import solve_batch as solve_batch
 from .kinematics.inverse_kinematics import solve_inverse_kinematics as solve_inverse_kinematics

@@ -38,6 +38,7 @@ from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine.collision_model import geometry_model, travel_bounds
 from backhoe_planner.machine.description.link_shapes import LinkPiece
 from backhoe_planner.machine.finer_pairs import finer_pairs, pieces_with
+from backhoe_planner.machine.keyed_robot import KeyedRobot
 from backhoe_planner.machine.pairs_cache import LeftOut, SelfPairs, keep_pairs, key_of, read_pairs
 from backhoe_planner.machine.proven_apart import proven_apart
 from backhoe_planner.machine.robot import Robot
@@ -65,34 +66,19 @@ _GRAZE = 5e-3  # m of overlap between convex pieces that approximate two links; 
 _GRAZE_OF_LINK = 0.02  # or this part of the smaller link, if that is less
 _MANY_PIECES = 20  # from this number on pairs go into the cache folder: the shipped backhoe's 26 take 30 ms without it
 
-
-class _Shaped:
-    """A machine that equals its copies with the same pieces, ranges and, if it has a slide, tracking error."""
-
-    def __init__(self, robot: Robot) -> None:
-        self.robot = robot
-        tube = robot.tube.joints.tobytes() if robot.tube is not None and robot.prismatic.any() else b""
-        # a machine with another tip or other held joints has other pieces; these live as long as this object
-        self._key = id(robot.pieces), robot.limits.lower.tobytes(), robot.limits.upper.tobytes(), tube
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Shaped) and self._key == other._key
+_Shaped = KeyedRobot[tuple[int, bytes, bytes, bytes]]
 
 
-class _Described:
-    """A machine that equals every other one with the same inputs for its pairs, such as one that was loaded twice."""
+def _shaped(robot: Robot) -> _Shaped:
+    """The machine, equal to its copies with the same pieces, ranges and, if it has a slide, tracking error."""
+    tube = robot.tube.joints.tobytes() if robot.tube is not None and robot.prismatic.any() else b""
+    # a machine with another tip or other held joints has other pieces
+    return KeyedRobot(robot, (id(robot.pieces), robot.limits.lower.tobytes(), robot.limits.upper.tobytes(), tube))
 
-    def __init__(self, robot: Robot) -> None:
-        self.robot, self.key = robot, key_of(robot)
 
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Described) and self.key == other.key
+def _described(robot: Robot) -> KeyedRobot[bytes]:
+    """The machine, equal to every other one with the same inputs for its pairs, such as one that was loaded twice."""
+    return KeyedRobot(robot, key_of(robot))
 
 
 def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPairs:
@@ -105,16 +91,16 @@ def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPa
     posture: n joint positions [rad or m], which may be outside of the joints' ranges: the ranges are
         extended to include them.
     """
-    return _pairs_of(_Shaped(robot), posture)
+    return _pairs_of(_shaped(robot), posture)
 
 
 @lru_cache(maxsize=8)
 def _pairs_of(shaped: _Shaped, posture: tuple[float, ...] | None) -> SelfPairs:
-    return _pairs_as_described(_Described(shaped.robot.at_origin), posture)  # the pairs do not depend on the base
+    return _pairs_as_described(_described(shaped.robot.at_origin), posture)  # the pairs do not depend on the base
 
 
 @lru_cache(maxsize=8)
-def _pairs_as_described(machine: _Described, posture: tuple[float, ...] | None) -> SelfPairs:
+def _pairs_as_described(machine: KeyedRobot[bytes], posture: tuple[float, ...] | None) -> SelfPairs:
     """The pairs, from the cache folder if finding them is slow; not with a `posture`, of which there are too many."""
     robot = machine.robot
     has_meshes = any(solid.cached is not None for solid in robot.solids)
@@ -137,7 +123,7 @@ def _worked_out(robot: Robot, posture: tuple[float, ...] | None) -> SelfPairs:
 
 def self_pieces(robot: Robot) -> tuple[LinkPiece, ...]:
     """The pieces to which the indices of `self_pairs` refer: `Robot.pieces`, then the finer ones."""
-    return _pieces_of(_Shaped(robot))
+    return _pieces_of(_shaped(robot))
 
 
 @lru_cache(maxsize=8)

@@ -72,11 +72,7 @@ class CellTree:
 
         The distance is None if it is not less than `reach` [m].
         """
-        found = nearest_on_cells(link.hull, link.radius, *self.arrays, max(reach, LEAST_REACH))
-        if not found:
-            return found is None, None
-        numbers = found[0]
-        return True, Reading(float(numbers[0]), numbers[1:4], numbers[4:7], numbers[7:])
+        return Reading.of_compiled(nearest_on_cells(link.hull, link.radius, *self.arrays, max(reach, LEAST_REACH)))
 
 
 @compiled

@@ -223,13 +223,11 @@ class TerrainSolid:
         first = np.maximum((low[:2] - reach - self._low) // self._cell, 0.0).astype(int)
         last = np.minimum((high[:2] + reach - self._low) // self._cell, counts).astype(int) + 1
         columns, rows = (slice(start, end + 1) for start, end in zip(first.tolist(), last.tolist(), strict=True))
-        found = nearest_on_ground(
-            link.hull, link.radius, self._heights[rows, columns], self._x[columns], self._y[rows], reach
+        return Reading.of_compiled(
+            nearest_on_ground(
+                link.hull, link.radius, self._heights[rows, columns], self._x[columns], self._y[rows], reach
+            )
         )
-        if not found:
-            return found is None, None
-        numbers = found[0]
-        return True, Reading(float(numbers[0]), numbers[1:4], numbers[4:7], numbers[7:])
 
     def _tiles_in(self, low: tuple[float, float], high: tuple[float, float]) -> Iterator[tuple[int, int]]:
         """The numbers along x and y of the tiles in a rectangle [m]."""

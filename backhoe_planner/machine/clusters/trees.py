@@ -42,6 +42,17 @@ class Reading(NamedTuple):
     point: Vector
     other_point: Vector
 
+    @classmethod
+    def of_compiled(cls, found: tuple[Vector] | tuple[()] | None) -> tuple[bool, Reading | None]:
+        """Whether a compiled function knows the distance, and the distance if there is one within its reach.
+
+        found: (10,) all numbers of the reading; () if it takes coal, None if nothing is within reach.
+        """
+        if not found:
+            return found is None, None
+        numbers = found[0]
+        return True, cls(float(numbers[0]), numbers[1:4], numbers[4:7], numbers[7:])
+
 
 class Tree:
     """One tree of coal.

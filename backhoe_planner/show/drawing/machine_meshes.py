@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.files.meshes.mesh_parts import check_all_read
-from backhoe_planner.machine import Robot, Visual, mesh_frame
+from backhoe_planner.machine import KeyedRobot, Robot, Visual, mesh_frame
 from backhoe_planner.show.drawing.palette import MACHINE, Rgba
 from backhoe_planner.show.drawing.solids import Facets, facets, solid
 
@@ -37,20 +37,6 @@ class LinkMesh:
     facets: Facets
 
 
-class _Shaped:
-    """A machine that equals its copies with the same shapes, such as with a tracking error or other limits."""
-
-    def __init__(self, robot: Robot) -> None:
-        self.robot = robot
-        self._key = id(robot.visuals), id(robot.pieces)  # these live as long as this object
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Shaped) and self._key == other._key
-
-
 def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]:
     """The drawing of the machine, and in words what could not be drawn as its URDF specifies.
 
@@ -58,11 +44,12 @@ def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]
     whole machine is. The last four machines are remembered: reading the meshes of a Panda takes most of the time of a
     page.
     """
-    return _machine_meshes(_Shaped(robot))
+    # the same for copies with the same shapes, such as with a tracking error or other limits
+    return _machine_meshes(KeyedRobot(robot, (id(robot.visuals), id(robot.pieces))))
 
 
 @lru_cache(maxsize=4)
-def _machine_meshes(shaped: _Shaped) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]:
+def _machine_meshes(shaped: KeyedRobot[tuple[int, int]]) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]:
     robot = shaped.robot
     warnings: list[str] = []
     parts: dict[tuple[str, int, Rgba], list[trimesh.Trimesh]] = {}
