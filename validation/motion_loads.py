@@ -32,7 +32,7 @@ _USUAL_RATE = 1.0  # rad/s or m/s, where neither gives a velocity, as it says to
 _INSTANT = 1e-3  # s of the differences in time: accelerations are right to a part of 1e-6
 _NUDGE = 1e-5  # rad or m of the differences by joint, as in `held_loads`
 _PART = 0.025  # rad or m, the most that a joint moves while a rod's speed is one difference of lengths, as in the docs
-_INSIDE = np.arange(1, 10) / 10.0  # parts of a long segment at which its torques are looked at
+_INSIDE = np.linspace(0.0, 1.0, 9)  # parts of what is straight in a long segment at which its torques are looked at
 _HARDLY = (1e-10, 1e-5)  # rad/s or m/s between which rounding decides whether a joint needs the pump's pressure
 _JOINT_SLACK = 1e-5  # part of a limit of velocity or acceleration, for rounding
 _DRIVE_SLACK = 0.0101  # part of a limit of the drive: the certificate accepts 1 %
@@ -225,7 +225,9 @@ def _inside(motion: Trajectory, part: LegPart) -> tuple[Matrix, Matrix, Matrix, 
     if not len(long):
         nothing = np.zeros((0, motion.q.shape[1]))
         return nothing, nothing, nothing, np.zeros(0)
-    along, ahead = np.tile(_INSIDE, len(long))[:, None], np.repeat(long, len(_INSIDE))
+    ahead = np.repeat(long, len(_INSIDE))
+    rounded = 0.5 * _PERIOD / step[ahead]
+    along = (rounded + np.tile(_INSIDE, len(long)) * (1.0 - 2.0 * rounded))[:, None]
     q = (1.0 - along) * motion.q[ahead] + along * motion.q[ahead + 1]
     v = (np.diff(motion.q, axis=0) / step[:, None])[ahead]
     return q, v, np.zeros(q.shape), motion.time[ahead] + along[:, 0] * step[ahead]

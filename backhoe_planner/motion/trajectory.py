@@ -180,20 +180,30 @@ class Trajectory:
         """The samples, and further moments between samples that are far apart.
 
         These make the use of a limit independent of how few samples there are. Most planned
-        motions need no further moments.
+        motions need no further moments. In a segment of more than two `SAMPLE_PERIOD` they are from where the corner
+        before it is rounded off to where that behind it begins, however little the joints move: no joint accelerates
+        in between, and what an acceleration takes at the samples may be less.
 
         Parameters
         ----------
-        longest: the most that a joint moves from one moment to the next [rad or m].
+        longest: the most that a joint moves from one moment to the next [rad or m]; infinite for the samples alone.
         """
         longest = as_number(longest, key="longest", above=0.0, finite=False)
         steps = np.max(np.abs(np.diff(self.q, axis=0)), axis=1, initial=0.0)
         parts = np.ceil(steps / longest)
         parts = np.maximum(np.ceil(parts * min(1.0, _MOST / max(float(np.sum(parts)), 1.0))), 1.0).astype(np.int64)
         last = len(self) - 1
-        segment = np.repeat(np.arange(last), parts)
-        first = np.cumsum(parts) - parts  # rows of the samples that begin a segment
-        part = (np.arange(len(segment)) - first[segment]) / parts[segment]
+        times = np.diff(self.time)
+        straight = (times > 2.0 * SAMPLE_PERIOD) & (steps > 0.0) & np.isfinite(longest)
+        rows = np.where(straight, parts + 2, parts)
+        segment = np.repeat(np.arange(last), rows)
+        first = np.cumsum(rows) - rows  # rows of the samples that begin a segment
+        number = np.arange(len(segment)) - first[segment]
+        rounded = 0.5 * SAMPLE_PERIOD / times[segment]
+        inside = straight[segment] & (number > 0)
+        part = np.where(
+            inside, rounded + (number - 1) / parts[segment] * (1.0 - 2.0 * rounded), number / parts[segment]
+        )
         velocities = self.segment_velocities()
         moving = velocities[segment]
         corner = np.append(first, len(segment))  # rows of the samples

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion import SAMPLE_PERIOD, build_problem, limit_usage
+from backhoe_planner.motion import SAMPLE_PERIOD, build_problem, drive_of, limit_usage
 from backhoe_planner.proof import motion_is_clear
 from backhoe_planner.proof.clearances import find_clearances
 from backhoe_planner.site.distances.cluster_distances import ClusterDistances
@@ -194,6 +194,29 @@ def test_the_limit_use_of_a_coarse_motion_is_that_of_its_rounded_corners(backhoe
     for name, most, expected in zip(few.names, few.ratio.max(axis=0), many.ratio.max(axis=0), strict=True):
         if name.startswith(("acceleration", "torque", "engine")):
             assert 0.995 * expected <= most <= 1.15 * expected, name
+
+
+@pytest.mark.parametrize("period", [0.045, 0.1])
+@pytest.mark.parametrize("samples", [4, 5, 6])
+def test_a_coarse_cut_that_brakes_counts_what_it_takes_between_its_corners(
+    backhoe: bp.Robot, period: float, samples: int
+) -> None:
+    """Inertia helps at every corner; in between, the joints move evenly against soil and weight, by a few mrad."""
+    pitches = ((4.2, -1.6), (3.9, -1.7))
+    targets = [bp.TipTarget(np.array([x, 0.0, -0.3]), pitch=(pitch, pitch)) for x, pitch in pitches]
+    begin, end = (bp.solve_inverse_kinematics(backhoe, target).q for target in targets)
+    at = {"joints": dict(zip(backhoe.joint_names, begin.tolist(), strict=True))}
+    content = {"version": 1, "start": at, "task": {"goal": at}, "soil": {"cohesion": 3000.0}}
+    problem = build_problem(backhoe, bp.scene_from_dict(content))
+    left = 1.0 - np.linspace(0.0, 1.0, samples)
+    time = np.linspace(0.0, period * (samples - 1), samples)
+    motion = bp.Trajectory.from_steps(time, begin + 0.1 * (1.0 - left**2)[:, None] * (end - begin))
+    middle = 0.5 * (motion.q[1:] + motion.q[:-1])
+    within = drive_of(problem).use(middle, motion.segment_velocities(), np.zeros_like(middle))
+    usage = limit_usage(problem, motion)
+    most = dict(zip(usage.names, usage.ratio.max(axis=0).tolist(), strict=True))
+    assert most["engine power"] >= np.max(within.power) > 0.01
+    assert max(most[f"torque {name}"] for name in backhoe.joint_names) >= np.max(within.effort)
 
 
 @pytest.mark.parametrize(("tolerance", "verified"), [(None, False), (0.049, False), (0.051, True)])

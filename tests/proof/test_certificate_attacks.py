@@ -189,20 +189,22 @@ def test_a_flow_beyond_the_pump_between_two_samples_is_found(backhoe: bp.Robot) 
 
 
 def test_moments_between_samples_equal_a_hand_calculation() -> None:
-    """0.1 rad in 2 s are four parts of 0.025 rad; the second segment is one part."""
+    """0.1 rad in 2 s are four parts of 0.025 rad, the second segment is one; corners are rounded off within 0.01 s."""
     motion = bp.Trajectory.from_steps(np.array([0.0, 2.0, 3.0]), np.array([[0.0, 1.0], [0.1, 0.95], [0.1, 0.96]]))
     moments = motion.moments()
-    np.testing.assert_array_equal(moments.segment, [0, 0, 0, 0, 1, 2])
-    np.testing.assert_allclose(moments.time, [0.0, 0.5, 1.0, 1.5, 2.0, 3.0])
-    np.testing.assert_allclose(moments.q[1:4], [[0.025, 0.9875], [0.05, 0.975], [0.075, 0.9625]])
-    np.testing.assert_allclose(moments.v[1:4], [[0.05, -0.025]] * 3)
-    np.testing.assert_array_equal(moments.a[1:4], 0.0)
+    np.testing.assert_array_equal(moments.segment, [0, 0, 0, 0, 0, 0, 1, 1, 1, 2])
+    np.testing.assert_allclose(moments.time, [0.0, 0.01, 0.505, 1.0, 1.495, 1.99, 2.0, 2.01, 2.99, 3.0])
+    along = np.array([0.01, 0.505, 1.0, 1.495, 1.99])
+    np.testing.assert_allclose(moments.q[1:6], np.column_stack((0.05 * along, 1.0 - 0.025 * along)))
+    np.testing.assert_allclose(moments.v[1:6], [[0.05, -0.025]] * 5)
+    np.testing.assert_allclose(moments.q[7:9], [[0.1, 0.9501], [0.1, 0.9599]])
+    np.testing.assert_array_equal(moments.a[[1, 2, 3, 4, 5, 7, 8]], 0.0)
     of_samples = ((moments.q, motion.q), (moments.v, motion.v), (moments.a, motion.corner_accelerations()))
     for own, expected in of_samples:
-        np.testing.assert_array_equal(own[[0, 4, 5]], expected)
+        np.testing.assert_array_equal(own[[0, 6, 9]], expected)
     # the corners are 2 s, 1.5 s and 1 s apart, of which 0.02 s count
-    np.testing.assert_allclose(moments.before[[4, 5], 0], [0.025 + (1.0 - 0.02 / 1.5) * 0.025, 0.0], atol=1e-15)
-    np.testing.assert_allclose(moments.after[[0, 4], 0], [(1.0 - 0.02 / 2.0) * 0.05, 0.02 / 1.5 * 0.025])
+    np.testing.assert_allclose(moments.before[[6, 9], 0], [0.025 + (1.0 - 0.02 / 1.5) * 0.025, 0.0], atol=1e-15)
+    np.testing.assert_allclose(moments.after[[0, 6], 0], [(1.0 - 0.02 / 2.0) * 0.05, 0.02 / 1.5 * 0.025])
     np.testing.assert_array_equal(motion.moments(longest=np.inf).q, motion.q)
 
 
