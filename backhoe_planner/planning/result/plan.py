@@ -372,27 +372,7 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
     file = check_path(path, key="path")
     urdf = None if urdf is None else check_path(urdf, key="urdf")
     record = read_plan_file(file)
-    try:
-        scene = scene_from_dict(record.scene, folder=file.parent / record.scene_folder)
-        robot = load_machine(_locate(record.robot.urdf, file) if urdf is None else urdf, scene, tip=record.robot.tip)
-    except SceneError as error:
-        raise PlanFileError(str(error), file=file, key="scene") from None
-    if robot.urdf.sha256 != record.robot.sha256:
-        raise RobotError(
-            "the URDF is not the one with which the plan was made",
-            file=file,
-            key="robot.sha256",
-            found=f"{robot.urdf.source} has {robot.urdf.sha256[:12]}...",
-            allowed=f"{record.robot.sha256[:12]}...",
-        )
-    if record.robot.joints != robot.joint_names:
-        raise PlanFileError(
-            "are not those that move the tip",
-            file=file,
-            key="robot.joints",
-            found=list(record.robot.joints),
-            allowed=", ".join(robot.joint_names),
-        )
+    robot, scene = _machine_on_site(record, file, urdf)
     problem = build_problem(robot, scene)
     begins = _begins(record, problem, file)
     trajectory = record.trajectory.trajectory(robot.n, file=file, begins=begins)
@@ -474,6 +454,32 @@ def plan_contradictions(path: str | os.PathLike[str], plan: Plan) -> list[str]:
         f"reason: the file says {words}, but {finding}" for reason, (finding, holds) in shown.items()
         if reason == said.reason and holds
     ]  # fmt: skip
+
+
+def _machine_on_site(record: PlanRecord, file: Path, urdf: Path | None) -> tuple[Robot, Scene]:
+    """The machine and the scene of a plan file; the URDF is at `urdf`, or where the file says."""
+    try:
+        scene = scene_from_dict(record.scene, folder=file.parent / record.scene_folder)
+        robot = load_machine(_locate(record.robot.urdf, file) if urdf is None else urdf, scene, tip=record.robot.tip)
+    except SceneError as error:
+        raise PlanFileError(str(error), file=file, key="scene") from None
+    if robot.urdf.sha256 != record.robot.sha256:
+        raise RobotError(
+            "the URDF is not the one with which the plan was made",
+            file=file,
+            key="robot.sha256",
+            found=f"{robot.urdf.source} has {robot.urdf.sha256[:12]}...",
+            allowed=f"{record.robot.sha256[:12]}...",
+        )
+    if record.robot.joints != robot.joint_names:
+        raise PlanFileError(
+            "are not those that move the tip",
+            file=file,
+            key="robot.joints",
+            found=list(record.robot.joints),
+            allowed=", ".join(robot.joint_names),
+        )
+    return robot, scene
 
 
 def _begins(record: PlanRecord, problem: Problem, file: Path) -> tuple[int, ...]:
