@@ -36,11 +36,12 @@ _INSIDE = np.linspace(0.0, 1.0, 9)  # parts of what is straight in a long segmen
 _HARDLY = (1e-10, 1e-5)  # rad/s or m/s between which rounding decides whether a joint needs the pump's pressure
 _JOINT_SLACK = 1e-5  # part of a limit of velocity or acceleration, for rounding
 _DRIVE_SLACK = 0.0101  # part of a limit of the drive: the certificate accepts 1 %
-_UNSAID = (
-    2e-3  # part of a limit of the drive by which a certificate may say less: between samples it has peaks to 0.1 %
-)
+_UNSAID = 2e-3  # part of a limit of the drive by which a certificate may say less: it has the peaks to 0.1 %
 _UNSAID_OIL = 1e-4  # the same of rods and flow, which are looked at from place to place as in a certificate
 _SAME = 1e-4  # part of the largest of its kind by which figures may differ: files have six digits of a torque
+# the same on the ground of a job: what the bucket holds jumps where its edge goes straight down, and rounding decides
+# on which side a sample is there; 1.6e-4 were measured
+_SAME_ON_GROUND = 1e-3
 _ARTICLES = {"acceleration": "an", "engine power": "an"}
 _PER = {"velocity": "/s", "acceleration": "/s^2"}  # after the unit of a joint
 _OIL = ("rod speed", "pump flow", "engine power")  # of which a certificate has the one that is used most
@@ -133,16 +134,17 @@ def _figures(
         each[own] for each in (motion.q, sample_velocities(motion), sample_accelerations(motion), motion.time)
     )
     torque = torques_of(machine, part.problem, q, v, a)
-    yield from _differences("torque", said.torque[own], torque, time, part.problem.robot.joint_names)
+    same = _SAME if part.problem.ground is None else _SAME_ON_GROUND
+    yield from _differences("torque", said.torque[own], torque, time, part.problem.robot.joint_names, same)
     power = np.sum(np.maximum(torque * v, 0.0), axis=1)
-    yield from _differences("power", said.power[own, None], power[:, None], time, ["all joints"])
+    yield from _differences("power", said.power[own, None], power[:, None], time, ["all joints"], same)
     if drive is None:
         return
     speed = np.abs(v)
     clear = ~np.any((speed > _HARDLY[0]) & (speed < _HARDLY[1]), axis=1)
     pump = drive.pump_rates(q, np.where(speed > _HARDLY[0], v, 0.0), torque)
     given = np.zeros(len(motion)) if said.pump is None else said.pump
-    yield from _differences("power", given[own][clear, None], pump[clear, None], time[clear], ["the pump"])
+    yield from _differences("power", given[own][clear, None], pump[clear, None], time[clear], ["the pump"], same)
 
 
 def _broken(use: Use, said: Said) -> Iterator[str]:
@@ -158,13 +160,15 @@ def _broken(use: Use, said: Said) -> Iterator[str]:
         yield f"{where} is {100.0 * most:.2f} % of the limit, said are {100.0 * claim:.2f} %"
 
 
-def _differences(kind: str, said: Array, found: Array, time: Vector, who: Sequence[str]) -> Iterator[str]:
-    """The joint and the sample at which figures (T, n) of one kind differ most, if they do."""
+def _differences(
+    kind: str, said: Array, found: Array, time: Vector, who: Sequence[str], same: float = _SAME
+) -> Iterator[str]:
+    """The joint and the sample at which figures (T, n) of one kind differ most, if by more than `same`."""
     off = np.abs(said - found)
     if not off.size:
         return
     row, joint = map(int, np.unravel_index(int(np.argmax(off)), off.shape))
-    if off[row, joint] > _SAME * float(np.max(np.abs(found), initial=1.0)):
+    if off[row, joint] > same * float(np.max(np.abs(found), initial=1.0)):
         given, right = said[row, joint], found[row, joint]
         yield f"{who[joint]} at {time[row]:.3f} s: a {kind} of {given:.6g} is said, of the samples it is {right:.6g}"
 
