@@ -87,7 +87,7 @@ class Stepper:
         self._acceleration, self._change = limits.acceleration, limits.acceleration * STEP
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), strict=True))
         self._longest_stop = self._shield.stopping_time(problem.limits.velocity)
-        self._last_dt = STEP
+        self._last_dt = STEP  # s; a longer one counts as this, in which a change of velocity has to take place
         self._watch = watch
         self._times = [0.0]
         self._path = [self.q]
@@ -168,7 +168,7 @@ class Stepper:
         self.time = self._times[-1]
         self.q = self._path[-1]
         self.v = piece.segment_velocities()[-1].copy()
-        self._last_dt = float(piece.time[-1] - piece.time[-2])
+        self._last_dt = min(float(piece.time[-1] - piece.time[-2]), STEP)
         self.shielded = None
 
     def replay(self, motion: Trajectory, until: float) -> None:
@@ -180,8 +180,9 @@ class Stepper:
         self.shielded = None
         self.v = np.zeros_like(self.q)
         if len(self._times) > 1:
-            self._last_dt = self._times[-1] - self._times[-2]
-            self.v = (self._path[-1] - self._path[-2]) / self._last_dt
+            last_dt = self._times[-1] - self._times[-2]
+            self.v = (self._path[-1] - self._path[-2]) / last_dt
+            self._last_dt = min(last_dt, STEP)
 
     def rest(self, until: float) -> None:
         """Stand until the time `until` [s]; the motion must be at rest."""
@@ -223,7 +224,7 @@ class Stepper:
         self.q = q
         self.time += dt
         self.shielded = shielded
-        self._last_dt = dt
+        self._last_dt = min(dt, STEP)
         self._append(self.time, q)
 
     def _append(self, time: float, q: Vector) -> None:
