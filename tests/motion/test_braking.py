@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, append_motion, brake_along, chord_sagitta
+from backhoe_planner.motion import (
+    DRIVE_TOLERANCE,
+    SAMPLE_PERIOD,
+    Drive,
+    Trajectory,
+    append_motion,
+    brake_along,
+    chord_sagitta,
+    time_along,
+)
 
 
 def limits(*acceleration: float) -> JointLimits:
@@ -102,3 +114,24 @@ def test_it_stays_on_the_path_within_the_accelerations(seed: int) -> None:
 
 def test_a_motion_that_exceeds_the_accelerations_itself_is_not_braked() -> None:
     assert brake_along(trapezium(), 0.5, limits(0.5)) is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_it_keeps_the_torques_of_a_loaded_backhoe(backhoe: bp.Robot, seed: int) -> None:
+    """A motion that just keeps its torques is braked within them, though its accelerations alone would allow more."""
+    rng = np.random.default_rng([3, seed])
+    drive = Drive(backhoe, payload=600.0)
+    brisk = replace(backhoe.limits, acceleration=np.array([2.0, 3.0, 4.0, 6.0]))
+    stations = np.linspace(0.0, 1.0, 5)
+    # of these postures the load can be held
+    ends = [q for q in (backhoe.random_q(rng) for _ in range(99)) if np.max(drive.static_use(q[None])) < 0.8]
+    q = ends[0] + stations[:, None] * (ends[1] - ends[0])
+    if np.max(drive.static_use(q)) > 0.9:
+        pytest.skip("on the way it cannot be held")
+    motion = time_along(stations, q, brisk, drive=drive)
+    for moment in np.linspace(0.1, 0.9, 9) * motion.duration:
+        braked = brake_along(motion, float(moment), brisk, drive=drive)
+        assert braked is not None
+        assert np.max(drive.use_along(braked.moments()).effort) <= 1.0 + DRIVE_TOLERANCE
+        assert excess(braked, brisk) <= 1e-6
+        assert braked.duration <= motion.duration + 2.0 * SAMPLE_PERIOD
