@@ -8,6 +8,10 @@ they move.
 Obstacles that appear: up to that moment the motion stays as planned, and from there on it
 is planned anew. First the plan tries to swerve without stopping (the completed law), then
 to brake along the planned motion and go on from rest. If both work, the shorter is used.
+Whatever is chosen, obstacles that appear later have no part in it.
+
+All motions keep the limits of drive and tip speed before they are compared with what
+moves and appears: a motion that is slowed afterwards is elsewhere when an obstacle appears.
 """
 
 from __future__ import annotations
@@ -18,13 +22,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from backhoe_planner.motion import Trajectory, brake_along, drive_of, retime
+from backhoe_planner.motion import (
+    DRIVE_TOLERANCE,
+    SAMPLE_PERIOD,
+    Trajectory,
+    append_motion,
+    brake_along,
+    drive_of,
+    retime,
+    slow_tip,
+)
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings, Reaction
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
-from backhoe_planner.proof import STEP_ROUNDING, motion_is_clear, segment_is_clear
+from backhoe_planner.proof import JOINTS_WITHIN, STEP_ROUNDING, motion_is_clear, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, sweep
 
 if TYPE_CHECKING:
@@ -38,6 +51,8 @@ _HORIZONS = (3.0, 6.0, 15.0)  # s ahead for which the space of moving obstacles 
 _SOON = (0.5, 1.5)  # s: shorter horizons, for a route to a refuge; chosen
 _REFUGES = 150  # random postures that may be refuges; chosen
 _ROOM = 0.02  # m of margin in a refuge; chosen
+_RATES = (1.0, 0.7, 0.5)  # parts of the joints' velocities that a reaction may use, in turn; chosen
+_ROUNDING = 1e-6  # part of a duration
 _HALVINGS = 4  # of the time between a wait that is too short and one that is not; chosen
 
 
@@ -58,12 +73,13 @@ class _OverTime:
         self._world = world
         self._task = task
         self._limits = world.problem.limits
+        self._drive = drive_of(world.problem)
 
     def plan(self, stepper: Stepper) -> Outcome:
         """A motion from `stepper`, which is at rest, that reacts to every obstacle that appears meanwhile."""
         reactions: list[Reaction] = []
-        outcome = self._among_known(stepper)
         known_until = stepper.time
+        outcome = self._from_rest_among(self._known(known_until), stepper)
         for obstacle in sorted(self._world.problem.obstacles, key=lambda obstacle: obstacle.appears_at):
             moment = obstacle.appears_at
             if moment <= known_until:
@@ -76,7 +92,8 @@ class _OverTime:
             if _is_clear(known.proximity, motion, moment):
                 continue
             outcome, way, stopped_at = self._react(known, motion, moment)
-            reactions.append(Reaction(obstacle=obstacle.name, appears_at=moment, way=way, stopped_at=stopped_at))
+            name = self._in_the_way(motion, moment)
+            reactions.append(Reaction(obstacle=name, appears_at=moment, way=way, stopped_at=stopped_at))
             if outcome.reason:
                 told = _describe(reactions[-1].later(self._world.problem.begins))
                 outcome = replace(outcome, message=f"{told}, and {outcome.message}")
@@ -87,27 +104,65 @@ class _OverTime:
         """The world with the obstacles that have appeared by `moment` [s]."""
         return self._world.among([o for o in self._world.problem.obstacles if o.appears_at <= moment])
 
+    def _in_the_way(self, motion: Trajectory, moment: float) -> str:
+        """The name of the obstacle that appears at `moment` [s] in the way of a motion."""
+        sudden = [obstacle for obstacle in self._world.problem.obstacles if obstacle.appears_at == moment]
+        if len(sudden) == 1:
+            return sudden[0].name
+        met = (o.name for o in sudden if not _is_clear(self._world.among([o]).proximity, motion, moment))
+        return next(met, sudden[0].name)
+
+    def _driven(self, outcome: Outcome, since: float) -> Outcome:
+        """The outcome with its motion, at rest at `since` [s], slowed from then on to the drive and the tip's speed."""
+        motion = outcome.trajectory
+        if outcome.reason or motion.duration <= since:
+            return outcome
+        row = int(np.searchsorted(motion.time, since - 1e-9))
+        after = replace(motion.part(row, len(motion) - 1), before=None)
+        slower = self._slowed(after)
+        if slower is after:
+            return outcome
+        return replace(outcome, trajectory=slower if row == 0 else append_motion(motion.part(0, row), slower))
+
+    def _is_driven(self, motion: Trajectory) -> bool:
+        """Whether a motion keeps the drive and the tip's speed as it is."""
+        return self._slowed(motion).duration <= motion.duration * (1.0 + _ROUNDING)
+
+    def _slowed(self, motion: Trajectory) -> Trajectory:
+        problem = self._world.problem
+        slower = retime(motion, self._limits, drive=self._drive)
+        if problem.tip_speed is None:
+            return slower
+        return slow_tip(slower, self._limits, speed=problem.tip_speed, robot=problem.robot, drive=self._drive)
+
     # --- moving obstacles -----------------------------------------------------------
 
-    def _among_known(self, stepper: Stepper) -> Outcome:
-        """A motion from rest among the obstacles known at the end of `stepper`, as they move."""
-        known = self._known(stepper.time)
+    def _from_rest_among(self, known: World, stepper: Stepper) -> Outcome:
+        """A motion from the end of `stepper`, at rest, among the obstacles of `known`, as they move."""
         obstacles = known.proximity.obstacles
         stepper = stepper.branch(attempt=stepper.attempt, proximity=known.proximity)
         still = known.among([_from_the_beginning(obstacle) for obstacle in obstacles if not obstacle.moves])
         moving = [obstacle.name for obstacle in obstacles if obstacle.moves]
         if not moving:
-            return self._task.from_rest(still, stepper)
+            return self._driven(self._task.from_rest(still, stepper), stepper.time)
         first: Outcome | None = None
-        for outcome in self._motions(stepper, known, still):
+        late: Outcome | None = None  # clear, but longer than is allowed
+        longest = known.problem.max_duration * (1.0 + JOINTS_WITHIN)
+        for found in self._motions(stepper, known, still):
+            outcome = self._driven(found, stepper.time)
             if outcome.reason in ("budget", "outside_limits"):  # neither depends on what moves
                 return outcome
             first = first or outcome
             clear = not outcome.reason and _is_clear(known.proximity, outcome.trajectory, stepper.time)
             if clear and known.keeps(outcome.trajectory):
                 # other motions avoid more space than the obstacles occupy, which may cover a goal
-                found = outcome.adding(left_out=first.findings.left_out)
-                return replace(found, evades=outcome is not first)
+                best = outcome.adding(left_out=first.findings.left_out)
+                best = replace(best, evades=outcome is not first)
+                if best.trajectory.duration <= longest:
+                    return best
+                late = late or best
+        if late is not None:
+            return late
         assert first is not None
         if first.reason:
             return first
@@ -124,9 +179,9 @@ class _OverTime:
     def _motions(self, stepper: Stepper, known: World, still: World) -> Iterator[Outcome]:
         """Motions that may be clear of the moving obstacles, the simplest first."""
         task = self._task
-        direct = task.from_rest(still, stepper.branch(attempt=1))
+        direct = self._driven(task.from_rest(still, stepper.branch(attempt=1)), stepper.time)
         yield direct
-        swerved = task.in_motion(known, stepper.branch(attempt=2))
+        swerved = self._from_rest_by_law(known, stepper)
         waited = None if direct.reason else _wait(known.proximity, direct, stepper)
         both = [outcome for outcome in (swerved, waited) if outcome is not None]
         yield from sorted(both, key=lambda outcome: outcome.trajectory.duration)
@@ -137,13 +192,21 @@ class _OverTime:
             if aside.give_way(stepper.time + wait):
                 yield task.from_rest(still, aside)
         for refuge in _refuges(known, stepper):
-            onward = task.from_rest(still, refuge.branch(attempt=refuge.attempt))
+            onward = self._driven(task.from_rest(still, refuge.branch(attempt=refuge.attempt)), stepper.time)
             yield onward
             later = None if onward.reason else _wait(known.proximity, onward, refuge)
             if later is None:
                 refuge.rest(stepper.time + _HORIZONS[-1])
                 later = task.from_rest(still, refuge)
             yield later
+
+    def _from_rest_by_law(self, known: World, stepper: Stepper) -> Outcome | None:
+        """The law's motion from the end of `stepper`, at rest, among obstacles as they move; None if there is none."""
+        found = self._task.in_motion(known, stepper.branch(attempt=2))
+        if found is None or self._is_driven(found.trajectory):
+            return found
+        slower = self._swerve(known, stepper.trajectory(), stepper.time)
+        return slower or self._driven(found, stepper.time)
 
     # --- appearing obstacles --------------------------------------------------------
 
@@ -154,41 +217,84 @@ class _OverTime:
         tightest = known.proximity.tightest(motion.at(moment), time=moment)
         if tightest is not None and tightest.margin < 0.0:
             return self._halt(motion, moment, f"{tightest.describe()} from the first moment on", tightest)
-        moving = known.stepper(motion.q[0])
-        moving.replay(motion, moment)
-        swerved = self._task.in_motion(known, moving.branch(attempt=1))
-        if swerved is not None and not (
-            _is_clear(known.proximity, swerved.trajectory, moment) and known.keeps(swerved.trajectory)
-        ):
-            swerved = None
-        again, way, stopped_at = self._stop_and_plan(known, moving, motion, moment)
-        if swerved is not None and (again.reason or self._duration(swerved) <= self._duration(again)):
+        swerved = self._swerve(known, motion, moment)
+        again, way, stopped_at = self._stop_and_plan(known, motion, moment)
+        if swerved is not None and (again.reason or swerved.trajectory.duration <= again.trajectory.duration):
             return swerved, "swerved", None
         return again, way, stopped_at
 
-    def _stop_and_plan(self, known: World, moving: Stepper, motion: Trajectory, moment: float) -> _Reply:
+    def _swerve(self, known: World, motion: Trajectory, moment: float) -> Outcome | None:
+        """`motion` up to `moment` [s], then the law's motion that does not stop; None if there is none."""
+        for stepper in self._in_motion(known, motion, moment):
+            swerved = self._task.in_motion(known, stepper)
+            if swerved is None or not _is_clear(known.proximity, swerved.trajectory, moment):
+                return None
+            if self._is_driven(swerved.trajectory):
+                return swerved
+        return None
+
+    def _in_motion(self, known: World, motion: Trajectory, moment: float) -> Iterator[Stepper]:
+        """The machine in `motion` at `moment` [s]; then the same with slower joints, which need less flow and power."""
+        speeds = motion.segment_velocities()
+        row = int(np.searchsorted(motion.time, moment - 1e-9))
+        speed = np.abs(speeds[row - 1]) if row else np.zeros(motion.q.shape[1])
+        for rate in _RATES if self._drive.limited else _RATES[:1]:
+            world = known if rate == 1.0 else known.slower(np.maximum(speed, rate * self._limits.velocity))
+            stepper = world.stepper(motion.q[0])
+            stepper.replay(motion, moment)
+            yield stepper
+
+    def _stop_and_plan(self, known: World, motion: Trajectory, moment: float) -> _Reply:
         """`motion` up to `moment` [s], then braking to rest, and a new motion from there."""
-        stopped = moving.branch(attempt=moving.attempt)
-        braked = brake_along(motion, moment, self._limits)
-        if braked is not None and _is_clear(known.proximity, braked, moment) and known.keeps(braked):
-            stopped.replay(braked, braked.duration)
-            stopped.v = np.zeros_like(stopped.q)
-        elif not stopped.give_way(moment):
+        stopped = self._stop(known, motion, moment)
+        if stopped is None:
             kept = "" if known.problem.keep is None else " or violates `keep`"
             return self._halt(motion, moment, f"comes too near to it{kept} even while it brakes")
-        outcome = self._among_known(stopped)
+        outcome = self._from_rest_among(known, stopped)
+        moves = any(obstacle.moves for obstacle in known.proximity.obstacles)
+        if outcome.reason == "blocked" and moves and not known.problem.objective.is_time:
+            fastest = self._from_rest_among(known.for_time(known.work.effort), stopped)
+            outcome = outcome if fastest.reason else fastest
         if outcome.reason and outcome.trajectory.duration < stopped.time:
             outcome = replace(outcome, trajectory=stopped.trajectory())
-        return outcome, "stopped and planned anew", stopped.time
+        return self._rested(known, outcome, stopped.time), "stopped and planned anew", stopped.time
+
+    def _rested(self, known: World, outcome: Outcome, stopped_at: float) -> Outcome:
+        """The outcome, with a rest of one period at `stopped_at` [s] if it goes on there too soon for its joints."""
+        motion = outcome.trajectory
+        row = int(np.searchsorted(motion.time, stopped_at - 1e-9))
+        if outcome.reason or not 0 < row < len(motion) - 1:
+            return outcome
+        change = motion.corner_accelerations()[row]
+        use = float(np.max(np.abs(change) / self._limits.acceleration)) - JOINTS_WITHIN
+        if self._drive.limited:
+            driven = self._drive.ratios(motion.q[row : row + 1], motion.v[row : row + 1], change[None])
+            use = max(use, float(np.max(driven)) - DRIVE_TOLERANCE)
+        rested = _delay(motion, stopped_at, SAMPLE_PERIOD)
+        if use <= 1.0 or not _is_clear(known.proximity, rested, stopped_at):
+            return outcome
+        return replace(outcome, trajectory=rested)
+
+    def _stop(self, known: World, motion: Trajectory, moment: float) -> Stepper | None:
+        """`motion` up to `moment` [s], then braking to rest; None if no way to brake is clear."""
+        braked = brake_along(motion, moment, self._limits, drive=self._drive)
+        if braked is not None and _is_clear(known.proximity, braked, moment) and known.keeps(braked):
+            stopped = known.stepper(motion.q[0])
+            stopped.replay(braked, braked.duration)
+            stopped.v = np.zeros_like(stopped.q)
+            return stopped
+        clear: Stepper | None = None
+        for stepper in self._in_motion(known, motion, moment):
+            if stepper.give_way(moment):
+                if self._is_driven(stepper.trajectory()):
+                    return stepper
+                clear = clear or stepper
+        return clear
 
     def _halt(self, motion: Trajectory, moment: float, why: str, obstruction: Obstruction | None = None) -> _Reply:
         """`motion` up to `moment` [s], then braking to rest along it, clear or not."""
-        halted = brake_along(motion, moment, self._limits) or motion
+        halted = brake_along(motion, moment, self._limits, drive=self._drive) or motion
         return Outcome(halted, "blocked", why, Findings(obstruction=obstruction)), "", halted.duration
-
-    def _duration(self, outcome: Outcome) -> float:
-        """How long a motion takes if limits of torque, flow and power are kept too [s]."""
-        return retime(outcome.trajectory, self._limits, drive=drive_of(self._world.problem)).duration
 
 
 def _describe(reaction: Reaction) -> str:

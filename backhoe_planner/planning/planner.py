@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -44,6 +44,9 @@ _AS_MUCH = 0.01  # m of a path that two motions leave out count as the same: 5 m
 _LONG_SEARCH = 4  # times the usual starting points, for a start given by the tip; chosen: all else depends on it
 
 
+_Planned = Callable[[Problem], tuple[Outcome, Certificate]]
+
+
 def plan_motion(
     problem: Problem,
     method: Method = "auto",
@@ -67,7 +70,7 @@ def plan_motion(
     plan = functools.partial(_plan_motion, method=method, seed=seed, effort=effort, brake=brake or Brake(), watch=watch)
     outcome, certificate = plan(problem)
     if problem.is_dynamic and problem.goals and not problem.objective.is_time and method in ("auto", "optimal"):
-        outcome, certificate = _past_movers(problem, plan, outcome, certificate)
+        outcome, certificate = _best_over_time(problem, plan, outcome, certificate)
     if certificate.verified and outcome.reason:  # the machine already stands at the goal, within its tolerance
         outcome = replace(outcome, reason="", message="")
     return outcome, certificate
@@ -138,8 +141,8 @@ def _plan_slowed(
             return known
         known = outcome, certificate
         loads = [use for use in (certificate.effort, certificate.hydraulics) if use is not None and not use.kept]
-        if not loads or not problem.is_dynamic or outcome.reason:
-            break
+        if not loads or not problem.is_dynamic or outcome.reason or outcome.findings.reactions:
+            break  # slower joints from the beginning would use that something appears
         over = max(use.ratio for use in loads)
         if not all(use.is_held for use in loads) or over > _TOO_MUCH:
             break
@@ -151,45 +154,90 @@ def _plan_slowed(
     return outcome, certificate
 
 
-def _past_movers(
-    problem: Problem, plan: Callable[[Problem], tuple[Outcome, Certificate]], outcome: Outcome, certificate: Certificate
+def _best_over_time(
+    problem: Problem, plan: _Planned, outcome: Outcome, certificate: Certificate
 ) -> tuple[Outcome, Certificate]:
-    """The motion that costs least past moving obstacles, and its proof: a known one, or one that takes less time.
+    """The motion that costs least past the obstacles that move from the beginning, and its proof.
 
-    A motion that may take long meets obstacles before which a faster one passes, and then waits or goes round. So where
-    they meet the best motion, the fastest motion is planned too, and motions of little cost that may take not much
-    longer. Obstacles that appear are unknown beforehand: what is best once they are known does not decide.
+    Obstacles that appear later are unknown when the motion begins: without them it is decided how long it may take.
 
     Parameters
     ----------
     plan: finds a motion and its certificate.
     outcome, certificate: the motion that may take all the time that is allowed, and its proof.
     """
-    fails = bool(outcome.reason) or not certificate.verified
-    if outcome.reason not in ("", "blocked") or not (fails or (outcome.evades and not outcome.findings.reactions)):
+    there = tuple(one for one in problem.obstacles if one.appears_at <= 0.0)
+    if len(there) == len(problem.obstacles):
+        best = _past_movers(problem, plan, outcome, certificate)
+        return best.outcome, best.certificate
+    beginning = replace(problem, obstacles=there)
+    if not beginning.is_dynamic:
         return outcome, certificate
-    fastest, _ = plan(replace(problem, objective=OBJECTIVES["time"]))
-    found = [] if fails else [(outcome, certificate)]
-    tried = [fastest]
+    best = _past_movers(beginning, plan, *plan(beginning))
+    if best.allowed is None:
+        return outcome, certificate
+    found, _ = plan(_allowed(problem, best.allowed))
+    if not found.reason:
+        found = replace(found, message="; ".join(filter(None, (found.message, best.words))))
+    return found, certify_motion(problem, found.trajectory)
+
+
+@dataclass(frozen=True, eq=False)
+class _Best:
+    """The motion that costs least past moving obstacles, its proof, and how long it may take.
+
+    Attributes
+    ----------
+    allowed: the longest duration for which it was planned [s]: 0 for the fastest, None for all that is allowed.
+    words: why it is the best.
+    """
+
+    outcome: Outcome
+    certificate: Certificate
+    allowed: float | None = None
+    words: str = ""
+
+
+def _allowed(problem: Problem, longest: float) -> Problem:
+    """The problem of a motion that takes at most `longest` [s], or for 0 of the fastest one."""
+    return replace(problem, max_duration=longest) if longest else replace(problem, objective=OBJECTIVES["time"])
+
+
+def _past_movers(problem: Problem, plan: _Planned, outcome: Outcome, certificate: Certificate) -> _Best:
+    """The motion that costs least past moving obstacles: a known one, or one that takes less time.
+
+    A motion that may take long meets obstacles before which a faster one passes, and then waits or goes round. So where
+    they meet the best motion, the fastest motion is planned too, and motions of little cost that may take not much
+    longer.
+
+    Parameters
+    ----------
+    problem: among obstacles that are all there from the beginning.
+    """
+    known = _Best(outcome, certificate)
+    fails = bool(outcome.reason) or not certificate.verified
+    if outcome.reason not in ("", "blocked") or not (fails or outcome.evades):
+        return known
+    fastest, _ = plan(_allowed(problem, 0.0))
+    found = [] if fails else [known]
+    tried = [(0.0, fastest)]
     for longer in () if fastest.reason else _LONGER:
         longest = longer * fastest.trajectory.duration
         if longest >= min(problem.max_duration, outcome.findings.allowed_time or np.inf):
             break
-        tried.append(plan(replace(problem, max_duration=longest))[0])
-    for one in tried:
-        if not one.reason and (fails or not one.findings.reactions):
-            proof = certify_motion(problem, one.trajectory)
-            if proof.verified:
-                found.append((one, proof))
-    if not found:
-        return outcome, certificate
-    best, proof = min(found, key=lambda one: motion_cost(problem, one[0].trajectory))
-    if best is outcome:
-        return best, proof
-    allowed = best.findings.allowed_time
-    limit = "the fastest" if best is fastest else f"one with at most {allowed:.2f} s" if allowed is not None else "one"
-    words = f"past moving obstacles {limit} costs least of the motions that were found"
-    return replace(best, message="; ".join(filter(None, (best.message, words)))), proof
+        tried.append((longest, plan(_allowed(problem, longest))[0]))
+    for longest, one in tried:
+        if one.reason:
+            continue
+        proof = certify_motion(problem, one.trajectory)
+        if proof.verified:
+            allowed = one.findings.allowed_time
+            limit = f"one with at most {allowed:.2f} s" if allowed is not None else "one"
+            which = limit if longest else "the fastest"
+            words = f"past moving obstacles {which} costs least of the motions that were found"
+            told = replace(one, message="; ".join(filter(None, (one.message, words))))
+            found.append(_Best(told, proof, longest, words))
+    return min(found, key=lambda one: motion_cost(problem, one.outcome.trajectory), default=known)
 
 
 def _find_proven(
@@ -243,21 +291,26 @@ def _within_cone(
 def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
     """The motion, slowed down where the machine could not drive it, and its certificate.
 
-    Where obstacles move or appear, the slower motion may meet them: then the motion stays as it was. If the slower
-    motion takes longer than the search allowed, because of the tip's speed, `allowed_time` is dropped from the
-    findings.
+    Where obstacles move or appear, the slower motion may meet them: then the motion stays as it was. It also stays if
+    it reacts to what appears, as a slower one would be elsewhere at that moment. If the slower motion takes longer than
+    the search allowed, because of the tip's speed, `allowed_time` is dropped from the findings.
     """
-    drive = drive_of(problem)
-    slower = retime(outcome.trajectory, problem.limits, drive=drive)
-    if problem.tip_speed is not None:
-        slower = slow_tip(slower, problem.limits, speed=problem.tip_speed, robot=problem.robot, drive=drive)
-    certificate = certify_motion(problem, slower)
-    if slower is outcome.trajectory or not problem.is_dynamic or certificate.verified:
-        longest = outcome.findings.allowed_time
-        if longest is not None and slower.duration > longest:
-            outcome = outcome.adding(allowed_time=None)
-        return replace(outcome, trajectory=slower), certificate
-    return outcome, certify_motion(problem, outcome.trajectory)
+    motion, certificate = outcome.trajectory, None
+    if problem.is_dynamic:
+        certificate = certify_motion(problem, motion)
+    if certificate is None or not (certificate.verified or outcome.findings.reactions):
+        drive = drive_of(problem)
+        slower = retime(motion, problem.limits, drive=drive)
+        if problem.tip_speed is not None:
+            slower = slow_tip(slower, problem.limits, speed=problem.tip_speed, robot=problem.robot, drive=drive)
+        if certificate is None or slower is not motion:
+            proof = certify_motion(problem, slower)
+            if certificate is None or proof.verified:
+                motion, certificate = slower, proof
+    longest = outcome.findings.allowed_time
+    if longest is not None and motion.duration > longest:
+        outcome = outcome.adding(allowed_time=None)
+    return replace(outcome, trajectory=motion), certificate
 
 
 def _find_motion(world: World, method: Method) -> Outcome:

@@ -14,6 +14,7 @@ from .least_duration import least_duration as least_duration
 from .least_duration import least_duration_of_all as least_duration_of_all
 from .least_times import LeastTimes as LeastTimes
 from .least_work import least_work as least_work
+from .limits import JOINTS_WITHIN as JOINTS_WITHIN
 from .limits import LimitName as LimitName
 from .limits import LimitUse as LimitUse
 from .limits import MachineLimit as MachineLimit

@@ -101,6 +101,15 @@ class World:
         other._put(self._obstacles)
         return other
 
+    def slower(self, velocity: Vector) -> World:
+        """The same problem with joints that are at most as fast as `velocity` (n,) [rad/s or m/s]."""
+        other = copy.copy(self)
+        limits = self.problem.limits
+        other.problem = replace(
+            self.problem, limits=replace(limits, velocity=np.minimum(velocity, limits.velocity))
+        )  # fmt: skip
+        return other
+
     def within(self, tolerance: float) -> World:
         """The same problem, with `tolerance` [m] as the tolerance of its path."""
         other = copy.copy(self)

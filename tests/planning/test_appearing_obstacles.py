@@ -1,0 +1,125 @@
+"""What is planned before an obstacle appears does not depend on it, and what follows keeps the limits of the drive."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.machine import Kinematics
+from backhoe_planner.motion import Problem, build_problem
+from backhoe_planner.planning.reactive.stepping import STEP, Stepper
+from backhoe_planner.site import Proximity
+from validation.independent_check import refutations
+
+Data = dict[str, Any]
+
+BRISK = {"swing": 2.0, "boom": 3.0, "stick": 4.0, "bucket": 6.0}  # rad/s^2: with a payload, torques bind
+
+
+def scene(robot: bp.Robot, rng: np.random.Generator, **more: Any) -> Data:
+    """Between two random postures, with a payload that makes torques bind."""
+    start, goal = (dict(zip(robot.joint_names, robot.random_q(rng).tolist(), strict=True)) for _ in range(2))
+    return {
+        "version": 1, "start": {"joints": start}, "task": {"goal": {"joints": goal}}, "clearance": 0.03,
+        "payload": 600.0, "limits": {"acceleration": BRISK},
+    } | more  # fmt: skip
+
+
+def plan(robot: bp.Robot, content: Data, *obstacles: Data) -> bp.Plan:
+    return bp.plan(robot, bp.scene_from_dict(content | {"obstacles": list(obstacles)}), effort="quick")
+
+
+def ball(robot: bp.Robot, motion: bp.Trajectory, at: float, rng: np.random.Generator, *, name: str = "ball") -> Data:
+    """A ball that appears at a part of a motion, near the tip's place some way further on."""
+    ahead = min(0.9, at + rng.uniform(0.15, 0.5)) * motion.duration
+    place = Kinematics(robot).at(motion.at(ahead)).tip_position + rng.normal(0.0, 0.25, 3)
+    radius = float(rng.uniform(0.12, 0.37))
+    return {
+        "name": name, "shape": "sphere", "radius": radius, "position": place.tolist(),
+        "appears_at": at * motion.duration,
+    }  # fmt: skip
+
+
+def same_until(one: bp.Trajectory, other: bp.Trajectory, moment: float) -> bool:
+    """Whether two motions have the same samples up to a moment, bit for bit."""
+    counts = [np.count_nonzero(motion.time <= moment) for motion in (one, other)]
+    return counts[0] == counts[1] and all(
+        np.array_equal(getattr(one, name)[: counts[0]], getattr(other, name)[: counts[0]]) for name in ("time", "q")
+    )
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 12))])
+def test_the_motion_before_an_obstacle_appears_is_the_one_without_it(backhoe: bp.Robot, seed: int) -> None:
+    rng = np.random.default_rng([21, seed])
+    content = scene(backhoe, rng, objective=("time", "work", "velocity_norm")[seed % 3])
+    alone = plan(backhoe, content)
+    if not alone.verified:
+        pytest.skip("nothing to disturb")
+    first = ball(backhoe, alone.trajectory, rng.uniform(0.1, 0.5), rng)
+    found = plan(backhoe, content, first)
+    assert same_until(alone.trajectory, found.trajectory, first["appears_at"])
+    assert not found.verified or refutations(found) == []
+    if not found.verified:
+        return
+    second = ball(backhoe, found.trajectory, rng.uniform(0.3, 0.7), rng, name="second ball")
+    again = plan(backhoe, content, first, second)
+    assert same_until(found.trajectory, again.trajectory, second["appears_at"])
+    assert not again.verified or refutations(again) == []
+
+
+def test_a_goal_is_not_reached_sooner_because_something_will_appear_on_it(backhoe: bp.Robot) -> None:
+    """A motion of little cost takes all the time that is allowed; just before its end a ball appears on the goal."""
+    content = scene(backhoe, np.random.default_rng([22, 2]), objective="velocity_norm", payload=0.0)
+    alone = plan(backhoe, content)
+    assert alone.verified
+    moment = alone.trajectory.duration - 0.1
+    tip = Kinematics(backhoe).at(alone.trajectory.q[-1]).tip_position
+    found = plan(
+        backhoe, content,
+        {"name": "ball", "shape": "sphere", "radius": 0.1, "position": tip.tolist(), "appears_at": moment},
+    )  # fmt: skip
+    assert same_until(alone.trajectory, found.trajectory, moment)
+    assert not found.verified
+
+
+def test_of_obstacles_that_appear_together_the_one_in_the_way_is_named(backhoe: bp.Robot) -> None:
+    content = scene(backhoe, np.random.default_rng([22, 2]), objective="time", payload=0.0)
+    alone = plan(backhoe, content)
+    moment = 0.5 * alone.trajectory.duration
+    tip = Kinematics(backhoe).at(alone.trajectory.q[-1]).tip_position
+    there = {"name": "on the goal", "shape": "sphere", "radius": 0.1, "position": tip.tolist(), "appears_at": moment}
+    far = there | {"name": "far away", "position": [0.0, 0.0, 20.0]}
+    [reaction] = plan(backhoe, content, far, there).findings.reactions
+    assert reaction.obstacle == "on the goal"
+
+
+def stepper(robot: bp.Robot) -> tuple[Problem, Stepper]:
+    content = scene(robot, np.random.default_rng(0), start={"joints": dict.fromkeys(robot.joint_names, -0.3)})
+    problem = build_problem(robot, bp.scene_from_dict(content))
+    proximity = Proximity(robot, problem.obstacles)
+    assert problem.start_q is not None
+    return problem, Stepper(problem, problem.start_q, proximity=proximity, kinematics=Kinematics(robot))
+
+
+@pytest.mark.parametrize("period", [STEP, 1.01 * STEP, 5.0 * STEP])
+def test_a_step_after_samples_that_are_far_apart_keeps_the_accelerations(backhoe: bp.Robot, period: float) -> None:
+    """Velocities change within the period of samples, however long the last segment was."""
+    problem, machine = stepper(backhoe)
+    time = np.arange(4.0) * period
+    motion = bp.Trajectory.from_steps(time, np.asarray(machine.q + 0.1 * time[:, None], dtype=np.float64))
+    machine.replay(motion, float(time[-1]))
+    machine.advance(np.full(4, -9.0), machine.look()[1], np.zeros((3, 4)))
+    found = machine.trajectory()
+    change = np.abs(found.velocity_changes()[-2]) / STEP
+    assert np.all(change <= problem.limits.acceleration * (1.0 + 1e-6))
+    assert np.max(change / problem.limits.acceleration) > 0.5
+
+
+def test_a_step_after_a_rest_keeps_the_accelerations(backhoe: bp.Robot) -> None:
+    problem, machine = stepper(backhoe)
+    machine.rest(3.0)
+    machine.advance(np.full(4, 9.0), machine.look()[1], np.zeros((3, 4)))
+    assert np.all(np.abs(machine.v) <= problem.limits.acceleration * STEP * (1.0 + 1e-6))
