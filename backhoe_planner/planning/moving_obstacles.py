@@ -51,19 +51,26 @@ _HORIZONS = (3.0, 6.0, 15.0)  # s ahead for which the space of moving obstacles 
 _SOON = (0.5, 1.5)  # s: shorter horizons, for a route to a refuge; chosen
 _REFUGES = 150  # random postures that may be refuges; chosen
 _ROOM = 0.02  # m of margin in a refuge; chosen
-_RATES = (1.0, 0.7, 0.5)  # parts of the joints' velocities that a reaction may use, in turn; chosen
+_RATES = (1.0, 0.7, 0.5, 0.25, 0.1)  # parts of the velocities that a reaction may use, in turn; chosen
 _ROUNDING = 1e-6  # part of a duration
 _HALVINGS = 4  # of the time between a wait that is too short and one that is not; chosen
 
 
-def plan_over_time(world: World, task: ToGoal | AlongPath, stepper: Stepper) -> Outcome:
+def plan_over_time(
+    world: World, task: ToGoal | AlongPath, stepper: Stepper, *, known: Outcome | None = None
+) -> Outcome:
     """A motion from `stepper`, which is at rest, among all obstacles.
 
     If none of them moves or appears, it is that of `task.from_rest`.
+
+    Parameters
+    ----------
+    known: a motion of the task from there among the obstacles as they are at the beginning; it is used where none of
+        these moves.
     """
     if not world.problem.is_dynamic:
         return task.from_rest(world, stepper)
-    return _OverTime(world, task).plan(stepper)
+    return _OverTime(world, task).plan(stepper, known)
 
 
 class _OverTime:
@@ -75,11 +82,18 @@ class _OverTime:
         self._limits = world.problem.limits
         self._drive = drive_of(world.problem)
 
-    def plan(self, stepper: Stepper) -> Outcome:
-        """A motion from `stepper`, which is at rest, that reacts to every obstacle that appears meanwhile."""
+    def plan(self, stepper: Stepper, begun: Outcome | None) -> Outcome:
+        """A motion from `stepper`, which is at rest, that reacts to every obstacle that appears meanwhile.
+
+        begun: as for `plan_over_time`.
+        """
         reactions: list[Reaction] = []
         known_until = stepper.time
-        outcome = self._from_rest_among(self._known(known_until), stepper)
+        known = self._known(known_until)
+        if begun is not None and not any(obstacle.moves for obstacle in known.proximity.obstacles):
+            outcome = self._driven(begun, stepper.time)
+        else:
+            outcome = self._from_rest_among(known, stepper)
         for obstacle in sorted(self._world.problem.obstacles, key=lambda obstacle: obstacle.appears_at):
             moment = obstacle.appears_at
             if moment <= known_until:
@@ -92,11 +106,12 @@ class _OverTime:
             if _is_clear(known.proximity, motion, moment):
                 continue
             outcome, way, stopped_at = self._react(known, motion, moment)
-            name = self._in_the_way(motion, moment)
+            name = self._in_the_way(motion, moment, outcome.findings.obstruction)
             reactions.append(Reaction(obstacle=name, appears_at=moment, way=way, stopped_at=stopped_at))
             if outcome.reason:
                 told = _describe(reactions[-1].later(self._world.problem.begins))
                 outcome = replace(outcome, message=f"{told}, and {outcome.message}")
+            if not way:
                 break
         return outcome.adding(reactions=tuple(reactions))
 
@@ -104,11 +119,13 @@ class _OverTime:
         """The world with the obstacles that have appeared by `moment` [s]."""
         return self._world.among([o for o in self._world.problem.obstacles if o.appears_at <= moment])
 
-    def _in_the_way(self, motion: Trajectory, moment: float) -> str:
-        """The name of the obstacle that appears at `moment` [s] in the way of a motion."""
+    def _in_the_way(self, motion: Trajectory, moment: float, found: Obstruction | None) -> str:
+        """The name of the obstacle that appears at `moment` [s] in the way of a motion; that `found`, if it is one."""
         sudden = [obstacle for obstacle in self._world.problem.obstacles if obstacle.appears_at == moment]
         if len(sudden) == 1:
             return sudden[0].name
+        if found is not None and any(obstacle.name == found.name for obstacle in sudden):
+            return found.name
         met = (o.name for o in sudden if not _is_clear(self._world.among([o]).proximity, motion, moment))
         return next(met, sudden[0].name)
 

@@ -365,10 +365,13 @@ def _plan_from_anywhere(world: World, task: AlongPath, method: Method) -> Outcom
 
     if method == "reactive":
         return task.by_law(world, None)
-    outcome = plan_along_path(world, task.path, stepper=None)
+    there = world
+    if world.problem.is_dynamic:
+        there = world.among([one for one in world.problem.obstacles if one.appears_at <= 0.0])
+    outcome = plan_along_path(there, task.path, stepper=None)
     if outcome.message or not world.problem.is_dynamic:
         return outcome
-    return plan_over_time(world, task, world.stepper(outcome.trajectory.q[0]))
+    return plan_over_time(world, task, world.stepper(outcome.trajectory.q[0]), known=outcome)
 
 
 def _start(world: World) -> Vector | Outcome:

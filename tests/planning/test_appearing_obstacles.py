@@ -96,6 +96,41 @@ def test_of_obstacles_that_appear_together_the_one_in_the_way_is_named(backhoe: 
     assert reaction.obstacle == "on the goal"
 
 
+ENDS = [[3.6, 0.6, 0.4], [3.2, 1.6, 0.6]]
+PATH: Data = {"version": 1, "task": {"path": {"waypoints": [{"position": at} for at in ENDS]}}, "clearance": 0.05}
+
+
+def test_a_path_begun_anywhere_is_the_one_without_what_appears(backhoe: bp.Robot) -> None:
+    """Not even the posture at its beginning is chosen with an obstacle in mind that appears later."""
+    alone = plan(backhoe, PATH)
+    assert alone.verified
+    moment = 0.3 * alone.trajectory.duration
+    tip = Kinematics(backhoe).at(alone.trajectory.q[-1]).tip_position
+    above = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [*tip[:2].tolist(), float(tip[2]) + 0.5]}
+    found = plan(backhoe, PATH, above | {"appears_at": moment})
+    assert same_until(alone.trajectory, found.trajectory, moment)
+    assert same_until(plan(backhoe, PATH, above | {"appears_at": 99.0}).trajectory, alone.trajectory, 99.0)
+
+
+def test_what_appears_while_the_machine_brakes_for_another_obstacle_counts_although_the_task_fails(
+    backhoe: bp.Robot,
+) -> None:
+    """The first ball covers the end of the path, the second what is left of the way to it."""
+    alone = plan(backhoe, PATH)
+    moment = 0.3 * alone.trajectory.duration
+    tip = Kinematics(backhoe).at(alone.trajectory.q[-1]).tip_position
+    first = {"name": "first", "shape": "sphere", "radius": 0.15, "position": tip.tolist(), "appears_at": moment}
+    failed = plan(backhoe, PATH, first)
+    assert failed.reason == "blocked"
+    [reaction] = failed.findings.reactions
+    assert reaction.stopped_at is not None
+    assert failed.trajectory.duration > reaction.stopped_at + 0.1  # it goes on up to where the path is blocked
+    there = Kinematics(backhoe).at(failed.trajectory.q[-1]).tip_position
+    second = first | {"name": "second", "position": there.tolist(), "appears_at": reaction.stopped_at - 0.01}
+    found = plan(backhoe, PATH, first, second)
+    assert [one.obstacle for one in found.findings.reactions][:2] == ["first", "second"]
+
+
 def stepper(robot: bp.Robot) -> tuple[Problem, Stepper]:
     content = scene(robot, np.random.default_rng(0), start={"joints": dict.fromkeys(robot.joint_names, -0.3)})
     problem = build_problem(robot, bp.scene_from_dict(content))
