@@ -16,7 +16,8 @@ moves and appears: a motion that is slowed afterwards is elsewhere when an obsta
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -94,19 +95,16 @@ class _OverTime:
             outcome = self._driven(begun, stepper.time)
         else:
             outcome = self._from_rest_among(known, stepper)
-        for obstacle in sorted(self._world.problem.obstacles, key=lambda obstacle: obstacle.appears_at):
-            moment = obstacle.appears_at
-            if moment <= known_until:
-                continue
-            motion = outcome.trajectory
-            if moment >= motion.duration:
-                continue  # the machine is at rest by then: at the end, or stopped by another obstacle
+        in_time = sorted(self._world.problem.obstacles, key=lambda obstacle: obstacle.appears_at)
+        for moment, together in itertools.groupby(in_time, key=lambda obstacle: obstacle.appears_at):
+            motion, sudden = outcome.trajectory, tuple(together)
+            if not known_until < moment < motion.duration:
+                continue  # afterwards the machine is at rest: at the end, or stopped by another obstacle
             known_until = moment
-            known = self._known(moment)
-            if _is_clear(known.proximity, motion, moment):
+            if _is_clear(self._world.among(sudden).proximity, motion, moment):
                 continue
-            outcome, way, stopped_at = self._react(known, motion, moment)
-            name = self._in_the_way(motion, moment, outcome.findings.obstruction)
+            outcome, way, stopped_at = self._react(self._known(moment), motion, moment)
+            name = self._in_the_way(sudden, motion, moment, outcome.findings.obstruction)
             reactions.append(Reaction(obstacle=name, appears_at=moment, way=way, stopped_at=stopped_at))
             if outcome.reason:
                 told = _describe(reactions[-1].later(self._world.problem.begins))
@@ -119,9 +117,10 @@ class _OverTime:
         """The world with the obstacles that have appeared by `moment` [s]."""
         return self._world.among([o for o in self._world.problem.obstacles if o.appears_at <= moment])
 
-    def _in_the_way(self, motion: Trajectory, moment: float, found: Obstruction | None) -> str:
-        """The name of the obstacle that appears at `moment` [s] in the way of a motion; that `found`, if it is one."""
-        sudden = [obstacle for obstacle in self._world.problem.obstacles if obstacle.appears_at == moment]
+    def _in_the_way(
+        self, sudden: Sequence[Obstacle], motion: Trajectory, moment: float, found: Obstruction | None
+    ) -> str:
+        """The name of the obstacle in the way of those that appear at `moment` [s]; `found`, if it is one of them."""
         if len(sudden) == 1:
             return sudden[0].name
         if found is not None and any(obstacle.name == found.name for obstacle in sudden):

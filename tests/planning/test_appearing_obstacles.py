@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ import backhoe_planner as bp
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.planning.reactive.stepping import STEP, Stepper
-from backhoe_planner.site import Proximity
+from backhoe_planner.planning.world.world import World
+from backhoe_planner.site import Obstacle, Proximity
 from validation.independent_check import refutations
 
 Data = dict[str, Any]
@@ -129,6 +131,34 @@ def test_what_appears_while_the_machine_brakes_for_another_obstacle_counts_altho
     second = first | {"name": "second", "position": there.tolist(), "appears_at": reaction.stopped_at - 0.01}
     found = plan(backhoe, PATH, first, second)
     assert [one.obstacle for one in found.findings.reactions][:2] == ["first", "second"]
+
+
+def test_of_many_obstacles_that_appear_only_the_new_one_is_looked_at(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sixty balls appear high above, one after the other: the obstacles that are looked at again do not add up."""
+    looked_at: list[int] = []
+    among = World.among
+
+    def counted(world: World, obstacles: Sequence[Obstacle]) -> World:
+        looked_at.append(len(obstacles))
+        return among(world, obstacles)
+
+    monkeypatch.setattr(World, "among", counted)
+    content = scene(backhoe, np.random.default_rng([22, 2]), objective="time", payload=0.0)
+    above = [
+        {
+            "name": f"ball {k}",
+            "shape": "sphere",
+            "radius": 0.1,
+            "position": [0.0, 0.0, 20.0],
+            "appears_at": 0.02 * k + 0.01,
+        }
+        for k in range(60)
+    ]
+    assert plan(backhoe, content, *above).verified
+    assert len(looked_at) > 60
+    assert sum(looked_at) < 3 * 60  # of all 60 every time: 1,830
 
 
 def stepper(robot: bp.Robot) -> tuple[Problem, Stepper]:
