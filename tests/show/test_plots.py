@@ -237,6 +237,17 @@ def test_the_envelope_of_a_planar_arm_is_plotted(planar4: Robot, tmp_path: Path)
     assert (tmp_path / "reach.png").read_bytes().startswith(MAGIC[".png"])
 
 
+def test_the_envelope_of_a_tip_that_only_swings_is_plotted_from_above(backhoe: Robot, tmp_path: Path) -> None:
+    """The boom's own frame is at its pin, which moves on a circle, with no extent in the plane of the arm."""
+    import matplotlib as mpl
+
+    with mpl.rc_context({"svg.fonttype": "none"}):
+        plot_envelope(backhoe.with_tip("boom"), tmp_path / "pin.svg")
+    text = (tmp_path / "pin.svg").read_text()
+    assert "from above" in text
+    assert "digging depth" not in text
+
+
 def test_without_matplotlib_the_extra_is_named(backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InputError, match=r'pip install "backhoe_planner\[plots\]"'):

@@ -27,6 +27,7 @@ _REGION, _RIM = "#cfe0f3", "#2b6cb0"
 _STEEL: Rgba = (0.55, 0.58, 0.62, 1.0)
 _LIGHT = np.array([0.2, -0.8, 0.57])  # direction of the light, from behind the reader's shoulder
 _MOST_TRIANGLES = 30_000  # chosen: if a machine has more, its parts are drawn as their hulls
+_STILL = 1e-6  # m; chosen: a tip that moves less in the plane of the arm stands still there
 _UPRIGHT = 0.99  # least absolute z of an axis that counts as vertical; chosen, 8 degrees
 _INK, _EARTH = "#1d2731", "#8a6a4a"
 
@@ -44,7 +45,7 @@ def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
         _draw_plane(figure.subplots(), robot, envelope, points)
     else:
         tips = reachable_points(robot)
-        flat = float(np.ptp(tips[:, 2])) < 1e-6  # a level arm is shown only from above
+        flat = float(np.ptp(tips[:, 2])) < _STILL  # a level arm is shown only from above
         views = (("from above", 0, 1),) if flat else (("from above", 0, 1), ("from the side", 0, 2))
         figure.set_size_inches(1.0 + 5.0 * len(views), 5.6)
         for view, (title, a, b) in zip(figure.subplots(1, len(views), squeeze=False)[0], views, strict=True):
@@ -58,7 +59,7 @@ def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
 
 
 def _in_plane(robot: Robot) -> Matrix | None:
-    """(k, 2) radius and height of the tip in the plane of the arm [m]; None if joints are prismatic.
+    """(k, 2) radius and height of the tip in the plane of the arm [m]; None with slides, or if it only swings.
 
     All axes of the plane are parallel, so the tip is the sum of the links, each rotated by the sum of the angles up to
     it.
@@ -85,7 +86,8 @@ def _in_plane(robot: Robot) -> Matrix | None:
     cosine, sine = np.cos(angle), np.sin(angle)
     radius = flat[first, 0] + cosine @ links[:, 0] - sine @ links[:, 1]
     height = flat[first, 1] + sine @ links[:, 0] + cosine @ links[:, 1]
-    return np.column_stack((radius, height))
+    points = np.column_stack((radius, height))
+    return points if float(np.ptp(points, axis=0).max()) > _STILL else None
 
 
 def _rest(robot: Robot) -> Vector:
