@@ -188,3 +188,36 @@ def test_a_step_after_a_rest_keeps_the_accelerations(backhoe: bp.Robot) -> None:
     machine.rest(3.0)
     machine.advance(np.full(4, 9.0), machine.look()[1], np.zeros((3, 4)))
     assert np.all(np.abs(machine.v) <= problem.limits.acceleration * STEP * (1.0 + 1e-6))
+
+
+@pytest.mark.parametrize("at", [0.5, 900.0])
+def test_a_sequence_does_not_depend_on_what_appears_out_of_its_way(backhoe: bp.Robot, at: float) -> None:
+    """Its legs go over into each other, and their ends are chosen together, as without it."""
+    legs: list[Data] = [
+        {"goal": {"position": place, "tolerance": 0.1}} for place in ([4.0, 1.0, 0.3], [3.0, 2.8, 0.6], [1.5, 4.0, 0.5])
+    ]
+    named = [{"name": f"leg {number}"} | leg for number, leg in enumerate(legs)]
+    start = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    content = {"version": 1, "start": {"joints": start}, "task": {"sequence": named}, "clearance": 0.05}
+    far = {"name": "far", "shape": "sphere", "radius": 0.3, "position": [-9.0, -9.0, 1.0], "appears_at": at}
+    alone, found = plan(backhoe, content), plan(backhoe, content, far)
+    assert alone.verified
+    assert found.verified
+    assert found.problem.is_dynamic
+    assert refutations(found) == []
+    for name in ("time", "q"):
+        np.testing.assert_array_equal(getattr(found.trajectory, name), getattr(alone.trajectory, name))
+
+
+def test_a_sequence_among_what_appears_in_its_way_is_planned_around_it(backhoe: bp.Robot) -> None:
+    start = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    goals = ([4.0, 1.0, 0.3], [1.5, 4.0, 0.5])
+    legs = [{"name": f"to {place[0]}", "goal": {"position": place}} for place in goals]
+    content = {"version": 1, "start": {"joints": start}, "task": {"sequence": legs}, "clearance": 0.05}
+    alone = plan(backhoe, content)
+    place = Kinematics(backhoe).at(alone.trajectory.at(0.75 * alone.trajectory.duration)).tip_position.tolist()
+    sudden = {"name": "ball", "shape": "sphere", "radius": 0.25, "position": place, "appears_at": 1.0}
+    found = plan(backhoe, content, sudden)
+    assert not bp.certify(backhoe, found.scene, alone.trajectory).verified
+    assert found.verified
+    assert refutations(found) == []

@@ -6,8 +6,9 @@ The result is always a `Plan`: a failure in normal use is a reason with its numb
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from backhoe_planner.arrays import as_count, as_number
 from backhoe_planner.errors import InputError, check_callable
@@ -20,8 +21,11 @@ from backhoe_planner.planning.result.metrics import measure_motion
 from backhoe_planner.planning.result.plan import METHODS, Plan, PlannedLeg, planned_legs
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import DEFAULT_BUDGETS, EFFORTS, Brake, EffortName, check_effort
-from backhoe_planner.proof import Certificate
+from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene
+
+if TYPE_CHECKING:
+    from backhoe_planner.planning.sequence.legs_planning import LegsOutcome
 
 _LARGEST_SEED = 2**32 - 1  # the largest that OMPL's generator accepts
 _BINDS = 0.95  # part of a limit from which it counts as reached; samples give accelerations to some percent
@@ -165,10 +169,13 @@ def _plan_sequence(
     from backhoe_planner.planning.sequence.leg import Leg  # loaded only for sequences
     from backhoe_planner.planning.sequence.legs_planning import plan_legs
 
-    found = plan_legs(
-        [Leg(leg) for leg in problem.legs],
-        method=method, seed=seed, effort=EFFORTS[effort], brake=brake, watch=watch,
-    )  # fmt: skip
+    def plan_all(legs: Iterable[Problem]) -> LegsOutcome:
+        return plan_legs(
+            [Leg(leg) for leg in legs],
+            method=method, seed=seed, effort=EFFORTS[effort], brake=brake, watch=watch,
+        )  # fmt: skip
+
+    found = _undisturbed(problem, plan_all) or plan_all(problem.legs)
     planning_time = clock.monotonic() - begun
     motion, certificate, failed = found.trajectory, found.certificate, found.failed
     notes = []
@@ -194,6 +201,21 @@ def _plan_sequence(
         effort=effort,
         legs=legs,
     )
+
+
+def _undisturbed(problem: Problem, plan_all: Callable[[Iterable[Problem]], LegsOutcome]) -> LegsOutcome | None:
+    """The sequence as if nothing appeared, if its motion is also proven clear of all that appears; otherwise None.
+
+    None too if nothing appears, or if something moves from the beginning.
+    """
+    there = [
+        replace(leg, obstacles=tuple(one for one in leg.obstacles if one.appears_at <= 0.0)) for leg in problem.legs
+    ]
+    if any(leg.is_dynamic for leg in there) or not any(leg.is_dynamic for leg in problem.legs):
+        return None
+    found = plan_all(there)
+    certificate = certify_problem(problem, found.trajectory)
+    return replace(found, certificate=certificate) if found.failed is None and certificate.verified else None
 
 
 def _reactions_of(legs: Sequence[PlannedLeg]) -> dict[str, Any]:
