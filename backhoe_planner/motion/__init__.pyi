@@ -56,6 +56,7 @@ from .timing.time_optimal import fastest as fastest
 from .timing.timing import FastestRun as FastestRun
 from .timing.timing import retime as retime
 from .timing.timing import slow_tip as slow_tip
+from .timing.timing import slowed_to_drive as slowed_to_drive
 from .timing.timing import time_along as time_along
 from .timing.timing import time_curve as time_curve
 from .timing.timing import time_evenly as time_evenly

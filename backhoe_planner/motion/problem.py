@@ -115,6 +115,11 @@ class Problem:
         return any(obstacle.moves or obstacle.appears_at > 0.0 for obstacle in self.obstacles)
 
     @property
+    def present(self) -> tuple[Obstacle, ...]:
+        """The obstacles that are there from the beginning, without those that appear later."""
+        return tuple(obstacle for obstacle in self.obstacles if obstacle.appears_at <= 0.0)
+
+    @property
     def begin_target(self) -> TipTarget | None:
         """Where the tip begins, if the start or a path says so: that of the start, otherwise that of the path."""
         if self.start_target is not None or self.path is None:

@@ -30,8 +30,7 @@ from backhoe_planner.motion import (
     append_motion,
     brake_along,
     drive_of,
-    retime,
-    slow_tip,
+    slowed_to_drive,
 )
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings, Reaction
@@ -135,21 +134,14 @@ class _OverTime:
             return outcome
         row = int(np.searchsorted(motion.time, since - 1e-9))
         after = replace(motion.part(row, len(motion) - 1), before=None)
-        slower = self._slowed(after)
+        slower = slowed_to_drive(self._world.problem, after)
         if slower is after:
             return outcome
         return replace(outcome, trajectory=slower if row == 0 else append_motion(motion.part(0, row), slower))
 
     def _is_driven(self, motion: Trajectory) -> bool:
         """Whether a motion keeps the drive and the tip's speed as it is."""
-        return self._slowed(motion).duration <= motion.duration * (1.0 + _ROUNDING)
-
-    def _slowed(self, motion: Trajectory) -> Trajectory:
-        problem = self._world.problem
-        slower = retime(motion, self._limits, drive=self._drive)
-        if problem.tip_speed is None:
-            return slower
-        return slow_tip(slower, self._limits, speed=problem.tip_speed, robot=problem.robot, drive=self._drive)
+        return slowed_to_drive(self._world.problem, motion).duration <= motion.duration * (1.0 + _ROUNDING)
 
     # --- moving obstacles -----------------------------------------------------------
 

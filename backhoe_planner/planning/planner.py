@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, motion_cost, retime, slow_tip
+from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, motion_cost, slowed_to_drive
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.kept_path import in_middle_of_cone, narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
@@ -166,11 +166,10 @@ def _best_over_time(
     plan: finds a motion and its certificate.
     outcome, certificate: the motion that may take all the time that is allowed, and its proof.
     """
-    there = tuple(one for one in problem.obstacles if one.appears_at <= 0.0)
-    if len(there) == len(problem.obstacles):
+    if len(problem.present) == len(problem.obstacles):
         best = _past_movers(problem, plan, outcome, certificate)
         return best.outcome, best.certificate
-    beginning = replace(problem, obstacles=there)
+    beginning = replace(problem, obstacles=problem.present)
     if not beginning.is_dynamic:
         return outcome, certificate
     best = _past_movers(beginning, plan, *plan(beginning))
@@ -299,10 +298,7 @@ def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
     if problem.is_dynamic:
         certificate = certify_motion(problem, motion)
     if certificate is None or not (certificate.verified or outcome.findings.reactions):
-        drive = drive_of(problem)
-        slower = retime(motion, problem.limits, drive=drive)
-        if problem.tip_speed is not None:
-            slower = slow_tip(slower, problem.limits, speed=problem.tip_speed, robot=problem.robot, drive=drive)
+        slower = slowed_to_drive(problem, motion)
         if certificate is None or slower is not motion:
             proof = certify_motion(problem, slower)
             if certificate is None or proof.verified:
@@ -365,9 +361,7 @@ def _plan_from_anywhere(world: World, task: AlongPath, method: Method) -> Outcom
 
     if method == "reactive":
         return task.by_law(world, None)
-    there = world
-    if world.problem.is_dynamic:
-        there = world.among([one for one in world.problem.obstacles if one.appears_at <= 0.0])
+    there = world.among(world.problem.present) if world.problem.is_dynamic else world
     outcome = plan_along_path(there, task.path, stepper=None)
     if outcome.message or not world.problem.is_dynamic:
         return outcome

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,9 +18,12 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, JointLimits, Robot
 from backhoe_planner.motion.path import step_lengths
 from backhoe_planner.motion.smooth_way import SmoothWay
-from backhoe_planner.motion.timing.drive import DRIVE_TOLERANCE, Drive
+from backhoe_planner.motion.timing.drive import DRIVE_TOLERANCE, Drive, drive_of
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
+
+if TYPE_CHECKING:
+    from backhoe_planner.motion.problem import Problem
 
 _MANY = 5000  # samples, 100 s at the usual period; chosen: a longer motion is thinned out
 _MOST = 1_000_000  # samples of a motion before it is thinned out; chosen, 80 MB for ten joints
@@ -444,6 +448,15 @@ def retime(trajectory: Trajectory, limits: JointLimits, *, drive: Drive | None) 
         if _drive_use(slower, drive) <= 1.0 + _ENOUGH:
             return slower
     return _stretched(trajectory, drive)
+
+
+def slowed_to_drive(problem: Problem, motion: Trajectory) -> Trajectory:
+    """The motion, slowed where it exceeds the problem's drive (see `retime`) or its tip the speed that is asked for."""
+    drive = drive_of(problem)
+    slower = retime(motion, problem.limits, drive=drive)
+    if problem.tip_speed is None:
+        return slower
+    return slow_tip(slower, problem.limits, speed=problem.tip_speed, robot=problem.robot, drive=drive)
 
 
 def _drive_use(trajectory: Trajectory, drive: Drive) -> float:

@@ -208,9 +208,7 @@ def _undisturbed(problem: Problem, plan_all: Callable[[Iterable[Problem]], LegsO
 
     None too if nothing appears, or if something moves from the beginning.
     """
-    there = [
-        replace(leg, obstacles=tuple(one for one in leg.obstacles if one.appears_at <= 0.0)) for leg in problem.legs
-    ]
+    there = [replace(leg, obstacles=leg.present) for leg in problem.legs]
     if any(leg.is_dynamic for leg in there) or not any(leg.is_dynamic for leg in problem.legs):
         return None
     found = plan_all(there)
