@@ -9,6 +9,7 @@ direction to the other's: the path is C1, and d2q/ds2 is piecewise constant.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -40,6 +41,11 @@ class SmoothWay:
         """Length of the legs, where s ends."""
         return float(self.stations[-1])
 
+    @cached_property
+    def _slopes(self) -> Matrix:
+        """(K - 1, n) direction of each leg."""
+        return np.asarray(np.diff(self.corners, axis=0) / np.diff(self.stations)[:, None])
+
     @property
     def knots(self) -> Vector:
         """Every s at which a leg or a round corner begins or ends, increasing, from 0 to the length."""
@@ -53,26 +59,26 @@ class SmoothWay:
     def __call__(self, s: float | Vector, order: int = 0) -> Matrix:
         """(n,) or (k, n) derivative of the given order (0, 1 or 2) with respect to s, from the right."""
         at = np.atleast_1d(np.asarray(s, dtype=float))
-        legs = np.diff(self.corners, axis=0)
-        steps = np.diff(self.stations)
-        leg = np.clip(np.searchsorted(self.stations, at, side="right") - 1, 0, len(steps) - 1)
-        slope = legs / steps[:, None]
+        slope = self._slopes
+        leg = np.clip(np.searchsorted(self.stations, at, side="right") - 1, 0, len(slope) - 1)
         found = np.zeros((len(at), self.corners.shape[1]))
         if order == 0:
             found = self.corners[leg] + (at - self.stations[leg])[:, None] * slope[leg]
         elif order == 1:
             found = slope[leg]
-        for corner in np.flatnonzero(self.cuts > 0.0):
-            d, begin = self.cuts[corner], self.stations[corner] - self.cuts[corner]
-            inside = (at >= begin) & (at < begin + 2.0 * d)
-            if not inside.any():
-                continue
+        ahead = leg + 1
+        # the only corner whose parabola may extend to s
+        corner = np.where(at >= self.stations[ahead] - self.cuts[ahead], ahead, leg)
+        begin, whole = self.stations[corner] - self.cuts[corner], 2.0 * self.cuts[corner]
+        cut = np.flatnonzero((whole > 0.0) & (at >= begin) & (at < begin + whole))
+        if len(cut):
+            corner, d = corner[cut], self.cuts[corner[cut], None]
             into, turn = slope[corner - 1], (slope[corner] - slope[corner - 1]) / (2.0 * d)
-            along = (at[inside] - begin)[:, None]
+            along = (at[cut] - begin[cut])[:, None]
             if order == 0:
-                found[inside] = self.corners[corner] - d * into + along * into + 0.5 * along**2 * turn
+                found[cut] = self.corners[corner] - d * into + along * into + 0.5 * along**2 * turn
             elif order == 1:
-                found[inside] = into + along * turn
+                found[cut] = into + along * turn
             else:
-                found[inside] = turn
+                found[cut] = turn
         return found if np.ndim(s) else found[0]

@@ -294,15 +294,13 @@ def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
     it reacts to what appears, as a slower one would be elsewhere at that moment. If the slower motion takes longer than
     the search allowed, because of the tip's speed, `allowed_time` is dropped from the findings.
     """
-    motion, certificate = outcome.trajectory, None
-    if problem.is_dynamic:
-        certificate = certify_motion(problem, motion)
-    if certificate is None or not (certificate.verified or outcome.findings.reactions):
+    motion = outcome.trajectory if problem.is_dynamic else slowed_to_drive(problem, outcome.trajectory)
+    certificate = certify_motion(problem, motion)
+    if problem.is_dynamic and not (certificate.verified or outcome.findings.reactions):
         slower = slowed_to_drive(problem, motion)
-        if certificate is None or slower is not motion:
-            proof = certify_motion(problem, slower)
-            if certificate is None or proof.verified:
-                motion, certificate = slower, proof
+        proof = certificate if slower is motion else certify_motion(problem, slower)
+        if proof.verified:
+            motion, certificate = slower, proof
     longest = outcome.findings.allowed_time
     if longest is not None and motion.duration > longest:
         outcome = outcome.adding(allowed_time=None)

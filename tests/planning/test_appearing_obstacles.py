@@ -98,6 +98,7 @@ def test_of_obstacles_that_appear_together_the_one_in_the_way_is_named(backhoe: 
     assert reaction.obstacle == "on the goal"
 
 
+START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
 ENDS = [[3.6, 0.6, 0.4], [3.2, 1.6, 0.6]]
 PATH: Data = {"version": 1, "task": {"path": {"waypoints": [{"position": at} for at in ENDS]}}, "clearance": 0.05}
 
@@ -197,8 +198,7 @@ def test_a_sequence_does_not_depend_on_what_appears_out_of_its_way(backhoe: bp.R
         {"goal": {"position": place, "tolerance": 0.1}} for place in ([4.0, 1.0, 0.3], [3.0, 2.8, 0.6], [1.5, 4.0, 0.5])
     ]
     named = [{"name": f"leg {number}"} | leg for number, leg in enumerate(legs)]
-    start = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
-    content = {"version": 1, "start": {"joints": start}, "task": {"sequence": named}, "clearance": 0.05}
+    content = {"version": 1, "start": {"joints": START}, "task": {"sequence": named}, "clearance": 0.05}
     far = {"name": "far", "shape": "sphere", "radius": 0.3, "position": [-9.0, -9.0, 1.0], "appears_at": at}
     alone, found = plan(backhoe, content), plan(backhoe, content, far)
     assert alone.verified
@@ -210,10 +210,9 @@ def test_a_sequence_does_not_depend_on_what_appears_out_of_its_way(backhoe: bp.R
 
 
 def test_a_sequence_among_what_appears_in_its_way_is_planned_around_it(backhoe: bp.Robot) -> None:
-    start = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
     goals = ([4.0, 1.0, 0.3], [1.5, 4.0, 0.5])
     legs = [{"name": f"to {place[0]}", "goal": {"position": place}} for place in goals]
-    content = {"version": 1, "start": {"joints": start}, "task": {"sequence": legs}, "clearance": 0.05}
+    content = {"version": 1, "start": {"joints": START}, "task": {"sequence": legs}, "clearance": 0.05}
     alone = plan(backhoe, content)
     place = Kinematics(backhoe).at(alone.trajectory.at(0.75 * alone.trajectory.duration)).tip_position.tolist()
     sudden = {"name": "ball", "shape": "sphere", "radius": 0.25, "position": place, "appears_at": 1.0}

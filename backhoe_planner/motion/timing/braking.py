@@ -17,7 +17,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion.timing.drive import DRIVE_TOLERANCE, Drive
+from backhoe_planner.motion.smooth_way import SmoothWay
+from backhoe_planner.motion.timing.drive import SLOWED_TO, Drive
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 
 _PACES = np.linspace(0.0, 1.0, 17)  # parts of an interval of paces that are tried together; chosen
@@ -26,7 +27,6 @@ _ROOMY = 0.9  # chosen: at a lower pace 0.19 of the accelerations are free
 _FADING = (1.0, 0.85, 0.5, 0.15, 0.0)  # chosen, for each step from then on: changes use 0.025 of the accelerations
 _SLOWEST = 20.0  # s; chosen: a motion that would take longer to stop is not braked
 _WITHIN = 1e-7  # part of a limit: rounding
-_ENOUGH = 0.5 * DRIVE_TOLERANCE  # part by which a limit of the drive may be exceeded, as where motions are slowed
 
 
 def brake_along(
@@ -51,24 +51,25 @@ def brake_along(
     braked = _brake(motion, row, limits, None)
     if braked is None or drive is None or not drive.limited or len(braked) <= row + 1:
         return braked
-    if _use(drive, braked.part(max(row - 1, 0), len(braked) - 1)) <= 1.0 + _ENOUGH:
+    if _use(drive, braked.part(max(row - 1, 0), len(braked) - 1)) <= 1.0 + SLOWED_TO:
         return braked
     return _brake(motion, row, limits, drive)
 
 
 def _brake(motion: Trajectory, row: int, limits: JointLimits, drive: Drive | None) -> Trajectory | None:
     """The same from the sample `row` on, whatever the use of a `drive` that is not given."""
-    path, start = _RoundedPath(motion), float(motion.time[row])
+    path, start = _rounded(motion), float(motion.time[row])
+    end = float(path.stations[-2] + path.cuts[-2])  # from there on it is at rest
     step = min(start - float(motion.time[row - 1]), SAMPLE_PERIOD) if row else SAMPLE_PERIOD
     velocity = motion.segment_velocities()[row - 1] if row else np.zeros(motion.q.shape[1])
     change = limits.acceleration * step * (1.0 + _WITHIN)  # of the velocities from one step to the next
-    beside = motion.q[row] - path.at(np.array([start]))[0]
+    beside = motion.q[row] - path(start)
     own, pace, slow, q = start, 1.0, 0, [motion.q[row]]
-    while own < path.end and not _can_rest(q[-1], velocity, change, step, drive):
+    while own < end and not _can_rest(q[-1], velocity, change, step, drive):
         lower, upper = 0.0, pace
         for _ in range(_NARROWINGS):
             paces = lower + _PACES * (upper - lower)
-            places = path.at(own + paces * step) + _FADING[slow] * beside
+            places = path(np.minimum(own + paces * step, path.length)) + _FADING[slow] * beside
             after = (places - q[-1]) / step
             kept = np.all(np.abs(after - velocity) <= change, axis=1)
             if not kept.any():
@@ -99,13 +100,13 @@ def _can_rest(q: Vector, velocity: Vector, change: Vector, step: float, drive: D
     still, held = np.zeros((1, len(q))), q[None]
     at_rest = float(np.max(drive.ratios(held, still, still)))
     stopping = float(np.max(drive.ratios(held, 0.5 * velocity[None], -2.0 * velocity[None] / step)))
-    return stopping <= max(1.0 + _ENOUGH, at_rest)
+    return stopping <= max(1.0 + SLOWED_TO, at_rest)
 
 
 def _keeping(drive: Drive, q: Vector, before: Vector, after: Matrix, step: float, kept: Flags) -> Flags:
     """(K,) which velocities `after` (K, n) also keep the limits of the `drive`, or the one that exceeds them least."""
     uses = np.max(drive.ratios(np.tile(q, (len(after), 1)), 0.5 * (before + after), (after - before) / step), axis=1)
-    return np.asarray(kept & (uses <= max(1.0 + _ENOUGH, float(np.min(uses[kept])))))
+    return np.asarray(kept & (uses <= max(1.0 + SLOWED_TO, float(np.min(uses[kept])))))
 
 
 def _use(drive: Drive, motion: Trajectory) -> float:
@@ -114,20 +115,10 @@ def _use(drive: Drive, motion: Trajectory) -> float:
     return max(float(np.max(use.effort)), float(np.max(use.speeds)))
 
 
-class _RoundedPath:
-    """A motion with parabolas instead of corners; each extends over at most half a segment on either side."""
-
-    def __init__(self, motion: Trajectory) -> None:
-        rest = SAMPLE_PERIOD  # before the start and behind the end
-        steps = np.concatenate(([rest], np.diff(motion.time), [rest]))
-        self._motion = motion
-        self._half = 0.5 * np.minimum(np.minimum(steps[:-1], steps[1:]), SAMPLE_PERIOD)
-        self._bend = 0.25 * motion.velocity_changes() / self._half[:, None]
-        self._middle = 0.5 * (motion.time[:-1] + motion.time[1:])
-        self.end = float(motion.time[-1] + self._half[-1])
-
-    def at(self, time: Vector) -> Matrix:
-        """(K, n) joint positions at the motion's own times (K,) [s]."""
-        corner = np.searchsorted(self._middle, time)
-        inside = np.maximum(self._half[corner] - np.abs(time - self._motion.time[corner]), 0.0)
-        return np.asarray(self._motion.at(time) + self._bend[corner] * inside[:, None] ** 2)
+def _rounded(motion: Trajectory) -> SmoothWay:
+    """The motion with parabolas as corners, each over at most half a segment on either side, and at rest behind it."""
+    time = np.append(motion.time, motion.time[-1] + SAMPLE_PERIOD)
+    steps = np.diff(time)
+    cuts = np.zeros(len(time))
+    cuts[1:-1] = 0.5 * np.minimum(np.minimum(steps[:-1], steps[1:]), SAMPLE_PERIOD)
+    return SmoothWay(np.vstack((motion.q, motion.q[-1:])), time, cuts)

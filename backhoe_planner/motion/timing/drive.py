@@ -23,6 +23,7 @@ from backhoe_planner.site import Ground, Soil, SoilReaction
 
 # the part by which a sampled motion may exceed a limit of the drive: its accelerations are differences of velocities
 DRIVE_TOLERANCE = 0.01
+SLOWED_TO = 0.5 * DRIVE_TOLERANCE  # part of a limit by which motions that are slowed to it may exceed it
 _BRISK = 1.0  # rad/s or m/s of the fastest joint; chosen: fast enough for the soil's full force
 _REMEMBERED = 4  # latest uses that are kept; chosen: two curves are in use at a time
 _MOST = 1e6  # ratio to a limit: greater ones count as this, so that none is infinite

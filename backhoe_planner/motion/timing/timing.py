@@ -18,7 +18,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, JointLimits, Robot
 from backhoe_planner.motion.path import step_lengths
 from backhoe_planner.motion.smooth_way import SmoothWay
-from backhoe_planner.motion.timing.drive import DRIVE_TOLERANCE, Drive, drive_of
+from backhoe_planner.motion.timing.drive import SLOWED_TO, Drive, drive_of
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 
@@ -42,7 +42,6 @@ _LEAST_GRID = 1000  # intervals on a path, about
 _COARSE = 1.05  # times a limit that samples of a curve may show before its grid is made denser; chosen, rarely needed
 _HALVINGS = 6  # of the first and last interval, within which a slow machine may reach its full speed; chosen
 
-_ENOUGH = 0.5 * DRIVE_TOLERANCE
 _ROUNDING = 1e-7  # part of a limit of the joints
 _SPEED_WITHIN = 1e-3  # part of the requested tip speed; chosen, far below the tolerance of a certificate
 _SPEED_ROUNDS = 3  # of slowing down where the samples show a higher speed; one is enough except for very short paths
@@ -439,13 +438,13 @@ def retime(trajectory: Trajectory, limits: JointLimits, *, drive: Drive | None) 
     Only the times of the samples change, so all distances from obstacles at rest stay the same.
     If a static load cannot be held, torques are not limited: slowing down does not reduce them.
     """
-    if drive is None or not drive.limited or len(trajectory) < 3 or _drive_use(trajectory, drive) <= 1.0 + _ENOUGH:
+    if drive is None or not drive.limited or len(trajectory) < 3 or _drive_use(trajectory, drive) <= 1.0 + SLOWED_TO:
         return trajectory
     for part in (1.0, 0.97):
         slower = _locally(trajectory, limits, drive, part)
         if slower is None or _over(slower, limits) > 1.0 + _ROUNDING:
             continue
-        if _drive_use(slower, drive) <= 1.0 + _ENOUGH:
+        if _drive_use(slower, drive) <= 1.0 + SLOWED_TO:
             return slower
     return _stretched(trajectory, drive)
 
@@ -467,7 +466,7 @@ def _drive_use(trajectory: Trajectory, drive: Drive) -> float:
         return max(most, worst)
     load = drive.gravity_torques(trajectory.q)
     for static in (load, load + drive.soil_torques(trajectory.q, trajectory.v)):
-        if np.any(drive.effort_use(trajectory.q, static) > 1.0 + _ENOUGH):
+        if np.any(drive.effort_use(trajectory.q, static) > 1.0 + SLOWED_TO):
             return most
     return worst
 
@@ -509,12 +508,12 @@ def _stretched(trajectory: Trajectory, drive: Drive) -> Trajectory:
         return Trajectory.from_steps(trajectory.time * factor, trajectory.q)
 
     high = 1.05
-    while _drive_use(slower(high), drive) > 1.0 + _ENOUGH:
+    while _drive_use(slower(high), drive) > 1.0 + SLOWED_TO:
         high *= 1.5
         if high > _SLOWEST:
             return trajectory
     low = max(high / 1.5, 1.0)
     for _ in range(8):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if _drive_use(slower(middle), drive) <= 1.0 + _ENOUGH else (middle, high)
+        low, high = (low, middle) if _drive_use(slower(middle), drive) <= 1.0 + SLOWED_TO else (middle, high)
     return slower(high)
