@@ -135,3 +135,29 @@ def test_it_keeps_the_torques_of_a_loaded_backhoe(backhoe: bp.Robot, seed: int) 
         assert np.max(drive.use_along(braked.moments()).effort) <= 1.0 + DRIVE_TOLERANCE
         assert excess(braked, brisk) <= 1e-6
         assert braked.duration <= motion.duration + 2.0 * SAMPLE_PERIOD
+
+
+@pytest.mark.parametrize("after", [0.1, 0.3])
+def test_a_stop_within_one_step_keeps_the_torques(backhoe: bp.Robot, after: float) -> None:
+    """The swing's acceleration is hardly limited, so that its joint could stand still at the next sample."""
+    drive = Drive(backhoe, payload=600.0)
+    quick = replace(backhoe.limits, acceleration=np.full(4, 1e3))
+    stations = np.linspace(0.0, 1.0, 5)
+    q = np.array([0.0, 0.4, -1.6, -0.9]) + stations[:, None] * np.array([1.5, 0.0, 0.0, 0.0])
+    motion = time_along(stations, q, quick, drive=drive)
+    assert np.max(drive.use_along(motion.moments()).effort) <= 1.0 + DRIVE_TOLERANCE
+    free = brake_along(motion, after, quick)
+    assert free is not None
+    assert free.duration - after < SAMPLE_PERIOD
+    assert np.max(drive.use_along(free.moments()).effort) > 1.5
+    braked = brake_along(motion, after, quick, drive=drive)
+    assert braked is not None
+    assert np.max(drive.use_along(braked.moments()).effort) <= 1.0 + DRIVE_TOLERANCE
+
+
+def test_what_is_at_rest_is_not_braked_whatever_its_drive(backhoe: bp.Robot) -> None:
+    still = Trajectory.from_steps(np.array([0.0, 1.0, 2.0]), np.tile([0.0, 0.4, -1.6, -0.9], (3, 1)))
+    for moment, takes in ((0.0, 0.0), (0.5, 1.0), (3.0, 2.0)):
+        braked = brake_along(still, moment, backhoe.limits, drive=Drive(backhoe, payload=600.0))
+        assert braked is not None
+        assert braked.duration == takes

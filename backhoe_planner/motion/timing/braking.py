@@ -49,7 +49,7 @@ def brake_along(
     """
     row = min(int(np.searchsorted(motion.time, moment - 1e-9)), len(motion) - 1)
     braked = _brake(motion, row, limits, None)
-    if braked is None or drive is None or not drive.limited or len(braked) <= row + 1:
+    if braked is None or drive is None or not drive.limited:
         return braked
     if _use(drive, braked.part(max(row - 1, 0), len(braked) - 1)) <= 1.0 + SLOWED_TO:
         return braked
