@@ -220,6 +220,7 @@ class _OverTime:
 
     def _react(self, known: World, motion: Trajectory, moment: float) -> _Reply:
         """`motion` up to `moment` [s], then a motion that is clear of the obstacle that appears at that time."""
+        motion = _with_sample_behind(motion, moment)
         # the motion reacts at the next sample, where it can change without a shorter step
         moment = float(motion.time[np.searchsorted(motion.time, moment - 1e-9)])
         tightest = known.proximity.tightest(motion.at(moment), time=moment)
@@ -374,6 +375,18 @@ def _delay(motion: Trajectory, since: float, wait: float) -> Trajectory:
     split = int(np.searchsorted(motion.time, since - 1e-9))
     time = np.concatenate((motion.time[: split + 1], motion.time[split:] + wait))
     return Trajectory.from_steps(time, np.vstack((motion.q[: split + 1], motion.q[split:])))
+
+
+def _with_sample_behind(motion: Trajectory, moment: float) -> Trajectory:
+    """The same motion with a sample soon behind `moment` [s]: while the machine waits there may be none for long.
+
+    It is a usual step behind the sample before it, and before the next one.
+    """
+    row = int(np.searchsorted(motion.time, moment - 1e-9))
+    at = max(moment, float(motion.time[max(row - 1, 0)]) + SAMPLE_PERIOD)
+    if at > motion.time[row] - SAMPLE_PERIOD:
+        return motion
+    return Trajectory.from_steps(np.insert(motion.time, row, at), np.insert(motion.q, row, motion.at(at), axis=0))
 
 
 def _from_the_beginning(obstacle: Obstacle) -> Obstacle:

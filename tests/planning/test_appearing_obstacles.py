@@ -10,9 +10,14 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import Problem, build_problem
+from backhoe_planner.motion import Problem, build_problem, time_along
+from backhoe_planner.planning.goals.goal_planning import ToGoal
+from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.reactive.stepping import STEP, Stepper
+from backhoe_planner.planning.search.effort import EFFORTS, Brake, Work
+from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
+from backhoe_planner.proof import certify_motion
 from backhoe_planner.site import Obstacle, Proximity
 from validation.independent_check import refutations
 
@@ -220,3 +225,29 @@ def test_a_sequence_among_what_appears_in_its_way_is_planned_around_it(backhoe: 
     assert not bp.certify(backhoe, found.scene, alone.trajectory).verified
     assert found.verified
     assert refutations(found) == []
+
+
+@pytest.mark.parametrize("velocity", [[0.0, 0.5, 0.0], pytest.param([-0.5, 0.0, 0.0], marks=pytest.mark.long)])
+def test_a_machine_that_waits_gives_way_as_soon_as_something_appears(backhoe: bp.Robot, velocity: list[float]) -> None:
+    """It waits for 9 s without a sample in between; at 2 s a ball appears that moves to where the tip is."""
+    begin = np.array(list(START.values()))
+    tip = Kinematics(backhoe).at(begin).tip_position
+    place = tip - 1.6 * np.array(velocity) / np.linalg.norm(velocity)
+    ball = {
+        "name": "ball", "shape": "sphere", "radius": 0.3, "position": place.tolist(), "velocity": velocity,
+        "appears_at": 2.0,
+    }  # fmt: skip
+    content = {
+        "version": 1, "start": {"joints": START}, "task": {"goal": {"joints": START | {"swing": 0.8}}},
+        "objective": "time", "clearance": 0.1, "obstacles": [ball],
+    }  # fmt: skip
+    problem = build_problem(backhoe, bp.scene_from_dict(content))
+    stations = np.linspace(0.0, 1.0, 5)
+    over = time_along(stations, begin + stations[:, None] * [0.8, 0.0, 0.0, 0.0], problem.limits)
+    waiting = bp.Trajectory.from_steps(np.append(0.0, 9.0 + over.time), np.vstack((begin, over.q)))
+    world = World(problem, seed=0, work=Work(EFFORTS["quick"], Brake()))
+    found = plan_over_time(world, ToGoal(problem.goals), world.stepper(begin), known=Outcome(waiting))
+    [reaction] = found.findings.reactions
+    assert reaction.stopped_at == 2.0  # it stands already
+    assert not certify_motion(problem, waiting).verified
+    assert certify_motion(problem, found.trajectory).verified
