@@ -32,6 +32,7 @@ from backhoe_planner.motion import (
     drive_of,
     slowed_to_drive,
 )
+from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings, Reaction
 from backhoe_planner.planning.transit import find_transit
@@ -41,7 +42,6 @@ from backhoe_planner.proof import JOINTS_WITHIN, STEP_ROUNDING, motion_is_clear,
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, sweep
 
 if TYPE_CHECKING:
-    from backhoe_planner.planning.goals.goal_planning import ToGoal
     from backhoe_planner.planning.path_planning import AlongPath
 
 _Reply = tuple[Outcome, str, float | None]  # the motion, how it goes on in words, and when the machine is at rest [s]
@@ -153,6 +153,8 @@ class _OverTime:
         moving = [obstacle.name for obstacle in obstacles if obstacle.moves]
         if not moving:
             return self._driven(self._task.from_rest(still, stepper), stepper.time)
+        if isinstance(self._task, ToGoal) and self._task.law_alone:
+            return self._task.from_rest(known, stepper)  # the law sees what moves, step by step
         first: Outcome | None = None
         late: Outcome | None = None  # clear, but longer than is allowed
         longest = known.problem.max_duration * (1.0 + JOINTS_WITHIN)

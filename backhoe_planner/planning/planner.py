@@ -337,13 +337,15 @@ def _plan_task(world: World, method: Method) -> Outcome:
     stepper = world.stepper(start)
     task: ToGoal | AlongPath
     if problem.goals:
-        task = ToGoal(problem.goals, search_alone=method == "optimal")
+        task = ToGoal(problem.goals, search_alone=method == "optimal", law_alone=method == "reactive")
         if method == "paper":
             return task.by_paper(world, stepper)
     else:
         assert path is not None
         task = _along(path)
-    return task.by_law(world, stepper) if method == "reactive" else plan_over_time(world, task, stepper)
+        if method == "reactive":
+            return task.by_law(world, stepper)
+    return plan_over_time(world, task, stepper)
 
 
 def _along(path: TipPath) -> AlongPath:

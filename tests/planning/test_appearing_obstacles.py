@@ -14,6 +14,7 @@ from backhoe_planner.motion import Problem, build_problem, time_along
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.reactive.stepping import STEP, Stepper
+from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Work
 from backhoe_planner.planning.world.outcome import Outcome
 from backhoe_planner.planning.world.world import World
@@ -35,8 +36,9 @@ def scene(robot: bp.Robot, rng: np.random.Generator, **more: Any) -> Data:
     } | more  # fmt: skip
 
 
-def plan(robot: bp.Robot, content: Data, *obstacles: Data) -> bp.Plan:
-    return bp.plan(robot, bp.scene_from_dict(content | {"obstacles": list(obstacles)}), effort="quick")
+def plan(robot: bp.Robot, content: Data, *obstacles: Data, method: Method = "auto") -> bp.Plan:
+    scene = bp.scene_from_dict(content | {"obstacles": list(obstacles)})
+    return bp.plan(robot, scene, effort="quick", method=method)
 
 
 def ball(robot: bp.Robot, motion: bp.Trajectory, at: float, rng: np.random.Generator, *, name: str = "ball") -> Data:
@@ -251,3 +253,21 @@ def test_a_machine_that_waits_gives_way_as_soon_as_something_appears(backhoe: bp
     assert reaction.stopped_at == 2.0  # it stands already
     assert not certify_motion(problem, waiting).verified
     assert certify_motion(problem, found.trajectory).verified
+
+
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 4])
+def test_the_law_alone_does_not_know_what_will_appear(backhoe: bp.Robot, seed: int) -> None:
+    """What appears after its end changes nothing; before a ball appears on its way it moves as without it."""
+    rng = np.random.default_rng([23, seed])
+    content = scene(backhoe, rng, payload=0.0)
+    alone = plan(backhoe, content, method="reactive")
+    assert alone.verified
+    late = ball(backhoe, alone.trajectory, 0.5, rng) | {"appears_at": alone.trajectory.duration + 1.0}
+    found = plan(backhoe, content, late, method="reactive")
+    assert found.verified
+    assert same_until(found.trajectory, alone.trajectory, 99.0)
+    sudden = ball(backhoe, alone.trajectory, 0.4, rng)
+    found = plan(backhoe, content, sudden, method="reactive")
+    assert same_until(found.trajectory, alone.trajectory, sudden["appears_at"])
+    [reaction] = found.findings.reactions
+    assert reaction.obstacle == "ball"

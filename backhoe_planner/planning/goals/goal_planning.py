@@ -42,18 +42,22 @@ class ToGoal:
     ----------
     goals: any of them will do.
     search_alone: whether the law is not tried if the search finds no motion.
+    law_alone: whether there is no search: every motion is that of the law.
 
     In all methods `stepper` is the motion so far; it is not changed.
     """
 
     goals: tuple[Goal, ...]
     search_alone: bool = False
+    law_alone: bool = False
 
     def from_rest(self, world: World, stepper: Stepper) -> Outcome:
         """The least-cost motion from rest that the search finds; if it finds none, a motion by the law.
 
         If the machine already stands on a goal it stays: nothing costs less, however near an obstacle is.
         """
+        if self.law_alone:
+            return self.by_law(world, stepper)
         if self._is_there(world, stepper):
             return Outcome(stepper.trajectory())
         found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)

@@ -31,7 +31,8 @@ _GAIN = 0.01  # part of the time; chosen: for a smaller gain a motion is not cha
 def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
     """The law's part from rest to rest in less time; `arrived` itself if no faster motion is proven clear.
 
-    If anything moves or appears, the proof holds only for the present times, so they are not changed.
+    If anything moves or appears of that which `begun` is among, the proof holds only for the present times, so they
+    are not changed.
 
     Parameters
     ----------
@@ -40,7 +41,8 @@ def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
     """
     problem, motion = begun.problem, arrived.trajectory()
     first = int(np.searchsorted(motion.time, begun.time - 1e-9))
-    if problem.is_dynamic or len(motion) - first < 3:
+    timed = any(obstacle.moves or obstacle.appears_at > 0.0 for obstacle in begun.proximity.obstacles)
+    if timed or len(motion) - first < 3:
         return arrived
     limits, drive = problem.limits, drive_of(problem)
     q, took = motion.q[first:], motion.time[-1] - motion.time[first]
