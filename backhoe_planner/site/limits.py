@@ -19,6 +19,7 @@ from backhoe_planner.site.schema.zone_kinds import SwingSector
 
 # times the machine's own acceleration, above which one of the scene is rather meant in degrees: a radian has 57; chosen
 _TOO_FAST = 20.0
+_TOO_LONG = 200.0  # m: chosen; the longest machines are nearer to 100 m, and an arm of 0.2 m in millimetres is there
 _INERTIA_ROUNDING = 0.01  # part of the greatest moment of inertia; chosen: files give few digits
 
 
@@ -190,7 +191,7 @@ def range_sources(robot: Robot, scene: Scene, joint: int) -> tuple[str, str]:
 
 
 def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
-    """Warnings of limits and masses that neither the URDF nor the scene gives, or that no machine has."""
+    """Warnings of limits and masses that neither URDF nor scene gives, or that no machine has, and of its length."""
     velocity, effort, position = (
         (scene.limits.velocity, scene.limits.effort, scene.limits.position) if scene is not None else ({}, {}, {})
     )
@@ -225,6 +226,13 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
             "those of the others, payload and soil"
         )
     found += _impossible_inertias(robot)
+    placements = [*robot.model.jointPlacements.tolist()[2:], robot.model.frames[robot.tip_frame].placement]
+    length = sum(float(np.linalg.norm(placement.translation)) for placement in placements)
+    if length > _TOO_LONG:
+        found.append(
+            f"the machine is {length:,.0f} m long from its first joint to its tip; lengths in a URDF are in metres, "
+            f"{length:,.0f} mm are {length / 1000.0:.3g} m"
+        )
     return tuple(found)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -215,6 +216,20 @@ def test_moments_of_inertia_that_no_body_has_give_a_warning(
     found = [warning for warning in limit_warnings(load_robot(tmp_path / "tiny.urdf")) if "moments" in warning]
     assert len(found) == (said is not None)
     assert all(warning.startswith("hand ") and said is not None and said in warning for warning in found)
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1.0, None), (20.0, None), (1000.0, "5,875 m long")])
+def test_a_machine_in_millimetres_gives_a_warning(
+    tmp_path: Path, backhoe: bp.Robot, scale: float, said: str | None
+) -> None:
+    """From the swing 0.725 m to the boom's foot, then 2.4 m, 1.8 m, and 0.95 m to the teeth."""
+    urdf = ET.parse(backhoe.urdf.path)
+    for origin in urdf.iterfind("joint/origin"):
+        origin.set("xyz", " ".join(str(scale * float(part)) for part in origin.get("xyz", "0 0 0").split()))
+    urdf.write(tmp_path / "long.urdf")
+    found = [warning for warning in limit_warnings(load_robot(tmp_path / "long.urdf")) if " long " in warning]
+    assert len(found) == (said is not None)
+    assert all(said is not None and said in warning for warning in found)
 
 
 def test_cylinders_give_the_effort_limits_missing_in_the_urdf(tmp_path: Path, backhoe: bp.Robot) -> None:
