@@ -43,10 +43,9 @@ def capsule_distance(points: Matrix, start: Matrix, end: Matrix, radius: float) 
     return np.asarray(np.linalg.norm(points - start - part[:, None] * axis, axis=1) - radius)
 
 
-def hull_distance(points: Matrix, hull: trimesh.Trimesh) -> NDArray[np.float64]:
-    """(K,) largest distance over the planes of a convex hull: never above the true distance."""
-    offsets = np.einsum("ij,ij->i", hull.face_normals, hull.triangles[:, 0])
-    return np.asarray(np.max(points @ hull.face_normals.T - offsets, axis=1))
+def hull_distance(points: Matrix, planes: Matrix) -> NDArray[np.float64]:
+    """(K,) largest distance over the `planes` (F, 4) of a convex hull, n x + d = 0: never above the true distance."""
+    return np.asarray(np.max(points @ planes[:, :3].T + planes[:, 3], axis=1))
 
 
 def height_map_distance(heights: Matrix, size: tuple[float, float]) -> SignedDistance:

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
@@ -186,8 +187,20 @@ def _shape(robot: bp.Robot, geometry) -> tuple[Matrix, float, SignedDistance]:  
     mesh.apply_scale(factors)
     mesh.apply_transform(T_shape_file.homogeneous)
     points, _ = trimesh.sample.sample_surface(mesh, _ON_MESH, seed=0)
-    hull = mesh.convex_hull
-    return np.vstack((mesh.vertices, points)), 0.0, lambda p: hull_distance(p, hull)
+    planes = _hull_planes(np.asarray(mesh.vertices))
+    return np.vstack((mesh.vertices, points)), 0.0, lambda p: hull_distance(p, planes)
+
+
+def _hull_planes(points: Matrix) -> Matrix:
+    """(F, 4) the outward normals of the convex hull of points (N, 3), and their distances from the origin [m]."""
+    try:
+        return np.asarray(ConvexHull(points).equations)
+    except QhullError:  # a flat one has two sides, and its edges
+        middle = np.mean(points, axis=0)
+        u, v, n = np.linalg.svd(points - middle)[2]
+        edges = ConvexHull((points - middle) @ np.column_stack((u, v))).equations
+        normals = np.vstack((edges[:, :2] @ [u, v], n, -n))
+        return np.column_stack((normals, np.append(edges[:, 2], [0.0, 0.0]) - normals @ middle))
 
 
 def _box_points(size: Matrix) -> Matrix:

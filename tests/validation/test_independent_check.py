@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 
 import backhoe_planner as bp
 from backhoe_planner.motion import build_problem
@@ -54,6 +56,21 @@ def test_the_independent_check_finds_the_least_distance_of_all_points(plan: bp.P
             rotation, translation = placements[cover.joint]
             placed = points @ np.swapaxes(rotation, 1, 2) + translation[:, None]
             assert found[cover.link, spec.name] == pytest.approx(np.min(distance(placed.reshape(-1, 3))), abs=1e-12)
+
+
+PLATE = """<robot name="plate"><link name="base"/><link name="arm"><collision><geometry><mesh filename="plate.stl"/>
+</geometry></collision></link><joint name="turn" type="revolute"><parent link="base"/><child link="arm"/>
+<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
+
+
+def test_a_link_that_is_a_flat_plate_has_the_distances_of_a_rectangle(tmp_path: Path) -> None:
+    """1 m long and 0.4 m wide, it stands on its long edge."""
+    corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, 0.4], [0.0, 0.0, 0.4]]
+    trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]]).export(tmp_path / "plate.stl")
+    (tmp_path / "plate.urdf").write_text(PLATE)
+    _, [plate] = link_shapes(bp.load_robot(tmp_path / "plate.urdf"))
+    at = np.array([[0.5, 0.3, 0.2], [0.5, -0.3, 0.2], [2.0, 0.0, 0.2], [0.5, 0.0, 0.7], [0.5, 0.0, 0.2]])
+    np.testing.assert_allclose(plate.signed_distance(at), [0.3, 0.3, 1.0, 0.3, 0.0], atol=1e-7)
 
 
 def test_every_ball_of_a_cover_contains_its_parts_down_to_the_leaves(plan: bp.Plan) -> None:
