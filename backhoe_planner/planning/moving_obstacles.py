@@ -44,6 +44,8 @@ from backhoe_planner.site import Obstacle, Obstruction, Proximity, sweep
 if TYPE_CHECKING:
     from backhoe_planner.planning.path_planning import AlongPath
 
+_BEYOND = "gave way with more than its drive can do, and planned anew"
+
 _Reply = tuple[Outcome, str, float | None]  # the motion, how it goes on in words, and when the machine is at rest [s]
 
 _WAITS = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)  # s, tried in turn; chosen
@@ -105,7 +107,9 @@ class _OverTime:
             outcome, way, stopped_at = self._react(self._known(moment), motion, moment)
             name = self._in_the_way(sudden, motion, moment, outcome.findings.obstruction)
             reactions.append(Reaction(obstacle=name, appears_at=moment, way=way, stopped_at=stopped_at))
-            if outcome.reason:
+            if not outcome.reason and way == _BEYOND:
+                outcome = replace(outcome, message=reactions[-1].later(self._world.problem.begins).words)
+            elif outcome.reason:
                 told = _describe(reactions[-1].later(self._world.problem.begins))
                 outcome = replace(outcome, message=f"{told}, and {outcome.message}")
             if not way:
@@ -257,7 +261,7 @@ class _OverTime:
 
     def _stop_and_plan(self, known: World, motion: Trajectory, moment: float) -> _Reply:
         """`motion` up to `moment` [s], then braking to rest, and a new motion from there."""
-        stopped = self._stop(known, motion, moment)
+        stopped, is_driven = self._stop(known, motion, moment)
         if stopped is None:
             kept = "" if known.problem.keep is None else " or violates `keep`"
             return self._halt(motion, moment, f"comes too near to it{kept} even while it brakes")
@@ -268,7 +272,8 @@ class _OverTime:
             outcome = outcome if fastest.reason else fastest
         if outcome.reason and outcome.trajectory.duration < stopped.time:
             outcome = replace(outcome, trajectory=stopped.trajectory())
-        return self._rested(known, outcome, stopped.time), "stopped and planned anew", stopped.time
+        way = "stopped and planned anew" if is_driven else _BEYOND
+        return self._rested(known, outcome, stopped.time), way, stopped.time
 
     def _rested(self, known: World, outcome: Outcome, stopped_at: float) -> Outcome:
         """The outcome, with a rest of one period at `stopped_at` [s] if it goes on there too soon for its joints."""
@@ -286,21 +291,24 @@ class _OverTime:
             return outcome
         return replace(outcome, trajectory=rested)
 
-    def _stop(self, known: World, motion: Trajectory, moment: float) -> Stepper | None:
-        """`motion` up to `moment` [s], then braking to rest; None if no way to brake is clear."""
+    def _stop(self, known: World, motion: Trajectory, moment: float) -> tuple[Stepper | None, bool]:
+        """`motion` up to `moment` [s], then braking to rest; None if no way to brake is clear. And if the drive can."""
         braked = brake_along(motion, moment, self._limits, drive=self._drive)
         if braked is not None and _is_clear(known.proximity, braked, moment) and known.keeps(braked):
             stopped = known.stepper(motion.q[0])
             stopped.replay(braked, braked.duration)
             stopped.v = np.zeros_like(stopped.q)
-            return stopped
+            return stopped, True
         clear: Stepper | None = None
         for stepper in self._in_motion(known, motion, moment):
             if stepper.give_way(moment):
                 if self._is_driven(stepper.trajectory()):
-                    return stepper
+                    return stepper, True
                 clear = clear or stepper
-        return clear
+        if clear is None:
+            return None, True
+        use = self._drive.use_along(clear.trajectory().moments())
+        return clear, max(float(np.max(use.effort)), float(np.max(use.speeds))) <= 1.0 + DRIVE_TOLERANCE
 
     def _halt(self, motion: Trajectory, moment: float, why: str, obstruction: Obstruction | None = None) -> _Reply:
         """`motion` up to `moment` [s], then braking to rest along it, clear or not."""

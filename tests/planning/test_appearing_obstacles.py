@@ -10,7 +10,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import Problem, build_problem, time_along
+from backhoe_planner.motion import Problem, build_problem, drive_of, time_along
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.reactive.stepping import STEP, Stepper
@@ -271,3 +271,32 @@ def test_the_law_alone_does_not_know_what_will_appear(backhoe: bp.Robot, seed: i
     assert same_until(found.trajectory, alone.trajectory, sudden["appears_at"])
     [reaction] = found.findings.reactions
     assert reaction.obstacle == "ball"
+
+
+def test_a_machine_that_gives_way_with_more_than_its_drive_can_do_says_so(backhoe: bp.Robot) -> None:
+    """A ball appears beside the bucket and moves towards it: giving way in time takes more flow than the pump has."""
+    begin, across = np.array(list(START.values())), np.array([1.4, 0.5, 0.6, 0.5])
+    goal = dict(zip(START, (begin + across).tolist(), strict=True))
+    content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"joints": goal}}, "objective": "time"}
+    empty = build_problem(backhoe, bp.scene_from_dict(content))
+    stations = np.linspace(0.0, 1.0, 9)
+    over = time_along(stations, begin + stations[:, None] * across, empty.limits, drive=drive_of(empty))
+    moment = 0.45 * over.duration
+    place = Kinematics(backhoe).at(over.at(moment + 0.3)).tip_position + np.array([0.0, 0.9, 0.0])
+    sudden = {
+        "name": "ball", "shape": "sphere", "radius": 0.4, "position": place.tolist(), "velocity": [0.0, -1.0, 0.0],
+        "appears_at": moment,
+    }  # fmt: skip
+    problem = build_problem(backhoe, bp.scene_from_dict(content | {"clearance": 0.1, "obstacles": [sudden]}))
+    world = World(problem, seed=0, work=Work(EFFORTS["quick"], Brake()))
+    task = ToGoal(problem.goals, law_alone=True)
+    found = plan_over_time(world, task, world.stepper(begin), known=Outcome(over))
+    assert same_until(found.trajectory, over, moment)
+    certificate = certify_motion(problem, found.trajectory)
+    assert certificate.min_clearance is not None
+    assert certificate.min_clearance.margin > 0.0
+    assert certificate.hydraulics is not None
+    assert not certificate.hydraulics.kept
+    [reaction] = found.findings.reactions
+    assert reaction.way.startswith("gave way with more than its drive can do")
+    assert found.message == reaction.words

@@ -27,7 +27,10 @@ class Reaction(Record):
     appears_at: float
     """When [s]."""
     way: str = ""
-    """How the motion goes on: ``swerved``, ``stopped and planned anew``; empty if it does not go on."""
+    """How the motion goes on: ``swerved``, ``stopped and planned anew``; empty if it does not go on.
+
+    ``gave way with more than its drive can do, and planned anew`` is a motion that the certificate refutes.
+    """
     stopped_at: float | None = None
     """When the machine is at rest [s]; None if it does not stop."""
 
