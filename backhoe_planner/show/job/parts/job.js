@@ -3,11 +3,10 @@
 // cycle can be looked at.
 (() => {
   const get = (id) => document.getElementById(id);
-  const { viewer, element, number, heard } = backhoe, THREE = MeshCat.THREE;
+  const { viewer, element, number, bytes, heard } = backhoe, THREE = MeshCat.THREE;
   const job = heard.job, plan = heard.plan, end = plan.time[plan.time.length - 1];
   const COLOURS = { approach: "#5b87b5", cut: "#a4632f", swing: "#2f8f83", dump: "#d29a1e", return: "#8fa9c4", wait: "#b9bfc5" };
 
-  const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
   const shorts = (text) => new Int16Array(bytes(text).buffer);
   const changes = job.changes.map((one) => ({ time: one.time, columns: new Uint32Array(bytes(one.columns).buffer),
     heights: shorts(one.heights), loose: bytes(one.loose) }));
