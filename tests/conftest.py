@@ -7,7 +7,6 @@ import gc
 import os
 import shutil
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -109,15 +108,29 @@ NO_TRIANGLES = """
 
 
 class Browser:
-    """Opens pages that draw few frames, and the scene in them only where a test looks at it."""
+    """Opens pages that draw few frames, and the scene in them only where a test looks at it.
 
-    def __init__(self, opened: Any) -> None:
-        self._opened = opened
+    The program starts with the first page. Until it is closed, no event loop can run in this thread.
+    """
+
+    def __init__(self, api: Any) -> None:
+        self._api = api
+        self._playwright: Any = None
+        self._opened: Any = None
 
     def new_page(self, *, drawn: bool = False, **settings: Any) -> Any:
+        if self._opened is None:
+            self._playwright = self._api.sync_playwright().start()
+            self._opened = self._playwright.chromium.launch(executable_path=CHROMIUM, args=GRAPHICS)
         page = self._opened.new_page(**settings)
         page.add_init_script(FEWER_FRAMES if drawn else FEWER_FRAMES + NO_TRIANGLES)
         return page
+
+    def close(self) -> None:
+        if self._opened is not None:
+            self._opened.close()
+            self._playwright.stop()
+            self._playwright = self._opened = None
 
     @staticmethod
     def complaints_of(page: Any) -> list[str]:
@@ -133,12 +146,29 @@ class Browser:
         return complaints
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
+BROWSER = pytest.StashKey[Browser]()
+
+
+def uses_browser(item: pytest.Item | None) -> bool:
+    return isinstance(item, pytest.Function) and "browser" in item.fixturenames
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests with a browser come first, so that one process starts it, once; the others keep their order."""
+    items.sort(key=lambda item: not uses_browser(item))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Close the browser after the last test with it."""
+    opened = item.config.stash.get(BROWSER, None)
+    if opened is not None and not uses_browser(nextitem):
+        opened.close()
+
+
+@pytest.fixture(scope="session")
+def browser(request: pytest.FixtureRequest) -> Browser:
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if not Path(CHROMIUM).exists():
         pytest.skip("chromium is not installed")
-    with api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=GRAPHICS)
-        yield Browser(opened)
-        opened.close()
+    return request.config.stash.setdefault(BROWSER, Browser(api))
