@@ -555,15 +555,6 @@ def test_plan_check_and_inspect_warn_once_of_an_open_mesh(run: Run, tmp_path: Pa
         assert "fill its holes" in warned
 
 
-def test_the_command_runs_as_a_program(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [*COMMAND, "plan", PLANAR4, str(scene_file(tmp_path)), *QUICK, "-o", str(tmp_path / "plan.json")],
-        capture_output=True, text=True, timeout=PATIENCE, env=ENVIRONMENT, check=False,
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("verified\n")
-
-
 LOST = "error: the output cannot be written: {}\n"
 
 
@@ -576,10 +567,15 @@ def test_an_output_that_cannot_be_written_is_one_message_without_traceback(comma
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-def test_a_plan_and_its_page_are_written_before_anything_is_printed(tmp_path: Path) -> None:
+def test_a_plan_and_its_page_are_written_before_anything_is_printed(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     written = [tmp_path / "plan.json", tmp_path / "plan.html"]
-    command = ["plan", PLANAR4, str(scene_file(tmp_path)), *QUICK, "-o", str(written[0]), "--html", str(written[1])]
-    assert with_output("/dev/full", command) == (2, LOST.format("No space left on device"))
+    scene = scene_file(tmp_path)
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        status, _, errors = run("plan", PLANAR4, scene, *QUICK, "-o", written[0], "--html", written[1])
+    assert (status, errors) == (2, LOST.format("No space left on device"))
     assert written[1].read_text(encoding="utf-8").endswith("</html>\n")
     assert json.loads(written[0].read_text(encoding="utf-8"))["verdict"] == "verified"
 

@@ -39,8 +39,11 @@ obstacles:
 """
 
 
-def loaded(arguments: list[str], of: list[str]) -> tuple[int, list[str]]:
-    """The exit status of the command line in a process of its own, and which modules of `of` it loaded."""
+def loaded(arguments: list[str], of: list[str], *, begins: str = "") -> tuple[int, list[str]]:
+    """The exit status of the command line in a process of its own, and which modules of `of` it loaded.
+
+    If `begins` is given, its output begins with that line, and it prints no message.
+    """
     code = (
         "import json, sys\n"
         f"sys.argv = ['backhoe-planner', *{arguments!r}]\n"
@@ -50,7 +53,10 @@ def loaded(arguments: list[str], of: list[str]) -> tuple[int, list[str]]:
         f"    print(json.dumps([done.code, [name for name in {of!r} if name in sys.modules]]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    status, names = json.loads(done.stdout.splitlines()[-1])
+    first, *_, last = done.stdout.splitlines()
+    if begins:
+        assert (first, done.stderr) == (begins, "")
+    status, names = json.loads(last)
     return status, names
 
 
@@ -59,11 +65,11 @@ def test_help_loads_no_numerical_modules() -> None:
     assert loaded(["--help"], [*SLOW, *computing]) == (0, [])
 
 
-def test_a_plan_of_primitives_loads_no_mesh_library_and_no_scipy(tmp_path: Path) -> None:
+def test_a_plan_of_primitives_is_made_by_a_program_that_loads_no_mesh_library_and_no_scipy(tmp_path: Path) -> None:
     scene, plan = tmp_path / "scene.yaml", tmp_path / "plan.json"
     scene.write_text(SIMPLEST)
     machine = str(shipped_folder("models") / "backhoe.urdf")
-    assert loaded(["plan", machine, str(scene), "-o", str(plan)], SLOW) == (0, [])
+    assert loaded(["plan", machine, str(scene), "-o", str(plan)], SLOW, begins="verified") == (0, [])
     assert plan.is_file()
 
 
