@@ -77,8 +77,9 @@ def test_the_independent_check_does_not_refute_a_cycle() -> None:
 
 
 def test_a_job_without_a_start_begins_with_its_first_cut() -> None:
+    half = {"trench": TINY["dig"]["trench"] | {"to": [3.7, 0.0]}}  # one cycle
     content = {key: value for key, value in TINY.items() if key != "start"}
-    found = plan_job(job_from_dict(content), effort="quick")
+    found = plan_job(job_from_dict(content | {"dig": half}), effort="quick")
     assert found.verified, found.note
     assert [leg.name for leg in found.cycles[0].legs] == ["cut", "swing", "dump"]
 

@@ -110,10 +110,16 @@ ENDS = [[3.6, 0.6, 0.4], [3.2, 1.6, 0.6]]
 PATH: Data = {"version": 1, "task": {"path": {"waypoints": [{"position": at} for at in ENDS]}}, "clearance": 0.05}
 
 
-def test_a_path_begun_anywhere_is_the_one_without_what_appears(backhoe: bp.Robot) -> None:
+@pytest.fixture(scope="module")
+def alone(backhoe: bp.Robot) -> bp.Plan:
+    """Along the path, with no obstacle."""
+    found = plan(backhoe, PATH)
+    assert found.verified
+    return found
+
+
+def test_a_path_begun_anywhere_is_the_one_without_what_appears(backhoe: bp.Robot, alone: bp.Plan) -> None:
     """Not even the posture at its beginning is chosen with an obstacle in mind that appears later."""
-    alone = plan(backhoe, PATH)
-    assert alone.verified
     moment = 0.3 * alone.trajectory.duration
     tip = Kinematics(backhoe).at(alone.trajectory.q[-1]).tip_position
     above = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [*tip[:2].tolist(), float(tip[2]) + 0.5]}
@@ -123,10 +129,9 @@ def test_a_path_begun_anywhere_is_the_one_without_what_appears(backhoe: bp.Robot
 
 
 def test_what_appears_while_the_machine_brakes_for_another_obstacle_counts_although_the_task_fails(
-    backhoe: bp.Robot,
+    backhoe: bp.Robot, alone: bp.Plan
 ) -> None:
     """The first ball covers the end of the path, the second what is left of the way to it."""
-    alone = plan(backhoe, PATH)
     moment = 0.3 * alone.trajectory.duration
     tip = Kinematics(backhoe).at(alone.trajectory.q[-1]).tip_position
     first = {"name": "first", "shape": "sphere", "radius": 0.15, "position": tip.tolist(), "appears_at": moment}
@@ -198,22 +203,23 @@ def test_a_step_after_a_rest_keeps_the_accelerations(backhoe: bp.Robot) -> None:
     assert np.all(np.abs(machine.v) <= problem.limits.acceleration * STEP * (1.0 + 1e-6))
 
 
-@pytest.mark.parametrize("at", [0.5, 900.0])
-def test_a_sequence_does_not_depend_on_what_appears_out_of_its_way(backhoe: bp.Robot, at: float) -> None:
+def test_a_sequence_does_not_depend_on_what_appears_out_of_its_way(backhoe: bp.Robot) -> None:
     """Its legs go over into each other, and their ends are chosen together, as without it."""
     legs: list[Data] = [
         {"goal": {"position": place, "tolerance": 0.1}} for place in ([4.0, 1.0, 0.3], [3.0, 2.8, 0.6], [1.5, 4.0, 0.5])
     ]
     named = [{"name": f"leg {number}"} | leg for number, leg in enumerate(legs)]
     content = {"version": 1, "start": {"joints": START}, "task": {"sequence": named}, "clearance": 0.05}
-    far = {"name": "far", "shape": "sphere", "radius": 0.3, "position": [-9.0, -9.0, 1.0], "appears_at": at}
-    alone, found = plan(backhoe, content), plan(backhoe, content, far)
+    alone = plan(backhoe, content)
     assert alone.verified
-    assert found.verified
-    assert found.problem.is_dynamic
-    assert refutations(found) == []
-    for name in ("time", "q"):
-        np.testing.assert_array_equal(getattr(found.trajectory, name), getattr(alone.trajectory, name))
+    for at in (0.5, 900.0):
+        far = {"name": "far", "shape": "sphere", "radius": 0.3, "position": [-9.0, -9.0, 1.0], "appears_at": at}
+        found = plan(backhoe, content, far)
+        assert found.verified
+        assert found.problem.is_dynamic
+        assert refutations(found) == []
+        for name in ("time", "q"):
+            np.testing.assert_array_equal(getattr(found.trajectory, name), getattr(alone.trajectory, name))
 
 
 def test_a_sequence_among_what_appears_in_its_way_is_planned_around_it(backhoe: bp.Robot) -> None:

@@ -163,10 +163,10 @@ def test_a_cloud_is_read_once_for_warnings_and_worksites_and_again_if_it_changes
 
 
 def walled_job(folder: Path, wall: Matrix) -> Job:
-    """The job `TINY` with its level ground and a wall from a cloud."""
+    """Half of the trench of `TINY`, half as deep, on its level ground, and a wall from a cloud."""
     low, high = TINY["ground"]["low"], TINY["ground"]["high"]
     np.savetxt(folder / "ground.xyz", np.vstack((at(grid(low, high, 0.05), 0.0), wall)), fmt="%.4f")
-    trench = TINY["dig"]["trench"] | {"depth": 0.2}
+    trench = TINY["dig"]["trench"] | {"to": [3.7, 0.0], "depth": 0.2}
     keys = {"ground": {"file": "ground.xyz", "low": low, "high": high}, "dig": {"trench": trench}}
     return job_from_dict(TINY | keys, folder=folder)
 
