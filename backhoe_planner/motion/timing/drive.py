@@ -100,11 +100,11 @@ class Drive:
 
     def torque_limits(self, q: Array) -> BothWays:
         """(..., n) the greatest torques either way at q (..., n) [N m or N]."""
-        own = np.broadcast_to(self._effort, np.shape(q))
         if self.hydraulics is None:
+            own = np.broadcast_to(self._effort, np.shape(q))
             return BothWays(own, own)
         oil = self.hydraulics.torque_limits(q)
-        return BothWays(np.minimum(own, oil.positive), np.minimum(own, oil.negative))
+        return BothWays(np.minimum(self._effort, oil.positive), np.minimum(self._effort, oil.negative))
 
     def rigid_torques(self, q: Array, v: Array, a: Array) -> Array:
         """(K, n) torques against inertia and gravity at q, v, a (K, n) [N m or N]."""

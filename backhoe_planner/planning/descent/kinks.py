@@ -105,8 +105,8 @@ class NearKinks:
         """Those that have a variable, which is the positive part of value + G x, and costs its square."""
         rises, falls = self.rises.some(self.rise_crossed), self.falls.some(self.fall_crossed)
         return Kinks(
-            np.vstack((rises.G, falls.G)), np.append(rises.value, falls.value), np.append(rises.share, falls.share),
-            self.rises.width,
+            np.vstack((rises.G, falls.G)), np.concatenate((rises.value, falls.value)),
+            np.concatenate((rises.share, falls.share)), self.rises.width,
         )  # fmt: skip
 
     def slope_of_variables(self) -> Vector:

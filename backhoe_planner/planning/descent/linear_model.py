@@ -338,10 +338,9 @@ def _smooth(plain: QuadraticProgram, bend: Bend) -> QuadraticProgram:
 def _bent(smooth: QuadraticProgram, kinks: NearKinks, crossed: Kinks) -> QuadraticProgram:
     """The program with `kinks`, and with one more variable for each that is `crossed`. Its rows are those of these."""
     count, m = len(smooth.f), crossed.G.shape[1]
-    f, low, high = (
-        np.append(part, np.full(len(crossed.value), at))
-        for part, at in zip((smooth.f, smooth.low, smooth.high), (0.0, 0.0, UNBOUNDED), strict=True)
-    )
+    zeros = np.zeros(len(crossed.value))
+    f, low = np.concatenate((smooth.f, zeros)), np.concatenate((smooth.low, zeros))
+    high = np.concatenate((smooth.high, zeros + UNBOUNDED))
     f[:m] -= kinks.slope_of_variables()
     H = np.zeros((len(f), len(f)))
     H[:count, :count] = smooth.H

@@ -170,9 +170,10 @@ class Looks:
         there = curve.at(self._u[[place for places in between for place in places]])
         moved = np.abs(there - q[at]) + np.abs(there - q[at + 1])
         most = np.maximum.reduceat(moved, np.cumsum([0, *count[:-1]]))
-        travel, ends = self._proximity.travel, np.union1d(before, before + 1)
-        known = self._seen.bounds(self._looked_at[ends], q[ends], travel)
-        row = np.searchsorted(ends, before)
+        travel, is_end = self._proximity.travel, np.zeros(len(q), dtype=bool)
+        is_end[before] = is_end[before + 1] = True
+        known = self._seen.bounds(self._looked_at[is_end], q[is_end], travel)
+        row = np.cumsum(is_end)[before] - 1
         least = 0.5 * (known[row] + known[row + 1] - most @ travel.T)
         clear = (least > self._proximity.clearance + self.allowed + _ROUNDING).all(axis=1)
         return [places for places, is_clear in zip(between, clear.tolist(), strict=True) if not is_clear]

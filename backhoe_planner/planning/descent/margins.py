@@ -79,7 +79,7 @@ def find_margins(
     """
     places = np.arange(len(q)) if places is None else places
     seen = seen or SeenDistances()
-    margins = np.asarray(np.broadcast_to(reach + spare, len(q)), dtype=float)
+    margins = np.zeros(len(q)) + (reach + spare)
     proximity.cover_unchecked(q)
     bounds = seen.bounds(places, q, proximity.travel)
     rows = np.flatnonzero((bounds <= proximity.clearance + margins[:, None]).any(axis=1))
