@@ -99,12 +99,14 @@ class _OverTime:
         in_time = sorted(self._world.problem.obstacles, key=lambda obstacle: obstacle.appears_at)
         for moment, together in itertools.groupby(in_time, key=lambda obstacle: obstacle.appears_at):
             motion, sudden = outcome.trajectory, tuple(together)
-            if not known_until < moment < motion.duration:
+            if not known_until < moment <= motion.duration:
                 continue  # afterwards the machine is at rest: at the end, or stopped by another obstacle
             known_until = moment
             if _is_clear(self._world.among(sudden).proximity, motion, moment):
                 continue
+            waited = min(outcome.findings.waits, _time_at_rest(motion, moment))
             outcome, way, stopped_at = self._react(self._known(moment), motion, moment)
+            outcome = outcome.adding(waits=waited + outcome.findings.waits)
             name = self._in_the_way(sudden, motion, moment, outcome.findings.obstruction)
             reactions.append(Reaction(obstacle=name, appears_at=moment, way=way, stopped_at=stopped_at))
             if not outcome.reason and way == _BEYOND:
@@ -385,6 +387,12 @@ def _delay(motion: Trajectory, since: float, wait: float) -> Trajectory:
     split = int(np.searchsorted(motion.time, since - 1e-9))
     time = np.concatenate((motion.time[: split + 1], motion.time[split:] + wait))
     return Trajectory.from_steps(time, np.vstack((motion.q[: split + 1], motion.q[split:])))
+
+
+def _time_at_rest(motion: Trajectory, until: float) -> float:
+    """How long all joints stand still up to `until` [s]."""
+    ends = np.minimum(motion.time, until)
+    return float(np.sum(np.diff(ends)[np.all(motion.q[1:] == motion.q[:-1], axis=1)]))
 
 
 def _with_sample_behind(motion: Trajectory, moment: float) -> Trajectory:

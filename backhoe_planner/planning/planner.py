@@ -83,7 +83,8 @@ def _plan_motion(
     if problem.wait is not None:
         assert problem.start_q is not None
         rest = Trajectory.from_steps(np.array([0.0, problem.wait]), np.tile(problem.start_q, (2, 1)))
-        return Outcome(rest), certify_motion(problem, rest)
+        certificate = certify_motion(problem, rest)
+        return Outcome(rest, message=_met_in_wait(problem, certificate)), certificate
     plan = functools.partial(
         _plan_slowed, problem, method=method, seed=seed, effort=effort, brake=brake, watch=watch
     )  # fmt: skip
@@ -91,6 +92,19 @@ def _plan_motion(
     if middle is None:
         return plan(narrow_path(problem))
     return _cheaper_in_cone(problem, middle, plan, method, effort, brake)
+
+
+def _met_in_wait(problem: Problem, certificate: Certificate) -> str:
+    """What comes too near to a machine in a leg that waits because it moves or appears, in words; empty if nothing."""
+    tightest = certificate.min_clearance
+    if certificate.verified or tightest is None or tightest.margin >= 0.0:
+        return ""
+    obstacle = next((one for one in problem.obstacles if one.name == tightest.name), None)
+    if obstacle is None or not (obstacle.moves or obstacle.appears_at > 0.0):
+        return ""
+    when = problem.begins + obstacle.appears_at
+    how = f"appears at {when:.2f} s" if obstacle.appears_at > 0.0 else "moves"
+    return f"a wait does not give way to {obstacle.name}, which {how}"
 
 
 def _cheaper_in_cone(

@@ -14,6 +14,7 @@ from backhoe_planner.motion import Problem, build_problem, drive_of, time_along
 from backhoe_planner.planning.goals.goal_planning import ToGoal
 from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.reactive.stepping import STEP, Stepper
+from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Work
 from backhoe_planner.planning.world.outcome import Outcome
@@ -254,11 +255,32 @@ def test_a_machine_that_waits_gives_way_as_soon_as_something_appears(backhoe: bp
     over = time_along(stations, begin + stations[:, None] * [0.8, 0.0, 0.0, 0.0], problem.limits)
     waiting = bp.Trajectory.from_steps(np.append(0.0, 9.0 + over.time), np.vstack((begin, over.q)))
     world = World(problem, seed=0, work=Work(EFFORTS["quick"], Brake()))
-    found = plan_over_time(world, ToGoal(problem.goals), world.stepper(begin), known=Outcome(waiting))
+    known = Outcome(waiting, findings=Findings(waits=9.0))
+    found = plan_over_time(world, ToGoal(problem.goals), world.stepper(begin), known=known)
     [reaction] = found.findings.reactions
     assert reaction.stopped_at == 2.0  # it stands already
+    assert found.findings.waits == 2.0
     assert not certify_motion(problem, waiting).verified
     assert certify_motion(problem, found.trajectory).verified
+
+
+def test_what_appears_just_at_the_end_of_a_motion_is_reported_as_what_appears_before(backhoe: bp.Robot) -> None:
+    """The machine stands in a ball from its last sample on, where no reaction helps."""
+    begin, over = np.array(list(START.values())), np.array([0.1, 0.0, 0.0, 0.0])
+    goal = dict(zip(START, (begin + over).tolist(), strict=True))
+    content = {"version": 1, "start": {"joints": START}, "task": {"goal": {"joints": goal}}, "objective": "time"}
+    motion = time_along(np.arange(2.0), np.array([begin, begin + over]), backhoe.limits)
+    ball = {
+        "name": "ball", "shape": "sphere", "radius": 0.2, "appears_at": motion.duration,
+        "position": Kinematics(backhoe).at(begin + over).tip_position.tolist(),
+    }  # fmt: skip
+    problem = build_problem(backhoe, bp.scene_from_dict(content | {"obstacles": [ball]}))
+    world = World(problem, seed=0, work=Work(EFFORTS["quick"], Brake()))
+    found = plan_over_time(world, ToGoal(problem.goals), world.stepper(begin), known=Outcome(motion))
+    assert found.reason == "blocked"
+    [reaction] = found.findings.reactions
+    assert (reaction.obstacle, reaction.appears_at, reaction.way) == ("ball", motion.duration, "")
+    assert "from the first moment on" in found.message
 
 
 @pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 4])

@@ -208,6 +208,19 @@ def test_a_failure_gives_times_from_the_beginning_of_the_sequence(backhoe: Robot
     assert found.message.startswith(f"leg {name!r}: dome appears at 2.0")
 
 
+@pytest.mark.parametrize(
+    ("ball", "how"), [({"appears_at": 1.0}, "appears at 1.00 s"), ({"velocity": [0.0, 0.01, 0.0]}, "moves"), ({}, "")]
+)
+def test_a_wait_that_fails_says_that_it_does_not_give_way(backhoe: Robot, ball: dict[str, object], how: str) -> None:
+    """A ball comes to the bucket of a machine that waits, or stands there from the beginning, where nothing is said."""
+    tip = Kinematics(backhoe).at(np.array(list(START["joints"].values()))).tip_position.tolist()
+    there = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": tip} | ball
+    found = plan(backhoe, scene_of({"name": "rest", "wait": 2.0}, LEGS[0], obstacles=[there]), effort="quick")
+    assert found.reason == "blocked"
+    assert ("a wait does not give way to ball, which " + how in found.message) == bool(how)
+    assert "leg 'rest': bucket comes to " in found.message
+
+
 def test_every_clearance_of_a_sequence_is_in_one_of_its_legs(done: Plan) -> None:
     for near in done.certificate.clearances:
         (leg,) = [leg for leg in done.certificate.legs if leg.name == done.certificate.leg_of(near)]
