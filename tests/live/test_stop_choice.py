@@ -137,6 +137,38 @@ def test_a_ball_on_the_track_beside_which_braking_every_joint_stops_is_not_touch
         assert servo.last_error is None
 
 
+@pytest.mark.parametrize("swing", [1.0, -1.0])
+def test_a_machine_driven_by_hand_brakes_with_all_its_acceleration_for_what_turns_up(
+    past_wall: bp.Plan, swing: float
+) -> None:
+    """A ball between where it stops as planned, with 0.8 of its acceleration, and where it can stop."""
+    robot = past_wall.robot
+    scene = past_wall.scene.model_copy(update={"obstacles": []})
+    servo = Servo(robot, scene, DT, q=[-0.5 * swing, 0.3, -0.6, -0.3])
+    for _ in range(80):
+        servo.step(joint_velocity=[swing, 0.0, 0.0, 0.0])
+    q, v = servo.q, servo.v
+    ends = [straight_on(q, v, part * servo.limits.acceleration)[-1] for part in (1.0, 0.8)]
+    tips = [bp.Kinematics(robot).at(end).tip_position for end in ends]
+    side = (tips[1] - tips[0]) / np.linalg.norm(tips[1] - tips[0])
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "clearance": 0.02}
+    for ahead in np.arange(0.1, 1.0, 0.01):
+        alone = balls_alone(past_wall, ball | {"position": (tips[0] + ahead * side).tolist()})
+        if least(alone, ends[:1]) > 0.02:
+            break
+    assert least(alone, ends[1:]) < -0.01
+    servo.add(ball | {"position": (tips[0] + ahead * side).tolist()})
+    places, rates = [q], [v]
+    for _ in range(200):
+        state = servo.step(joint_velocity=[swing, 0.0, 0.0, 0.0])
+        places.append(state.q)
+        rates.append(state.v)
+    assert least(alone, places) > -KEPT
+    assert (np.abs(np.diff(rates, axis=0)) <= servo.limits.acceleration * DT * (1.0 + 1e-6)).all()
+    assert not state.v.any() or abs(state.v[0]) < 0.01
+    assert servo.last_error is None
+
+
 def test_an_obstacle_that_the_track_stops_short_of_does_not_lead_off_it(past_wall: bp.Plan, moments: Moments) -> None:
     plan = past_wall
     steps = min(moments)

@@ -9,6 +9,8 @@ from backhoe_planner.arrays import Matrix, Vector
 _PLACES = 25  # on the way to rest; chosen, between them it is nearly straight
 _STRETCHED = (0.0, 0.25, 0.5, 1.0)  # parts of the way from each joint's own shortest time to rest to the longest of all
 
+STRAIGHT = len(_STRETCHED) - 1  # key of the stop of all joints at once, which is straight
+
 
 class JointStop:
     """A machine that stops with a constant deceleration of each joint.

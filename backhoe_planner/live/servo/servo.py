@@ -5,6 +5,7 @@ it touches nothing and passes no limit (`braking_path`). A new velocity is taken
 braking path that follows from it is proven clear. If there is none, the machine brakes along
 the path that was proven one step earlier. So no wish, and no failure of the optimisation,
 can drive the machine into a static obstacle. On a proven `Track` it may brake along that instead.
+If something turns up on the braking path, the machine brakes with all its acceleration (`stop_choice`).
 
 The nearest safe velocity is found by a small QP (`safe_velocity`). Its rows are the gaps
 of the links' corners along the braking path (`path_check`), and one row for each moving
@@ -42,6 +43,7 @@ from backhoe_planner.live.recovery.recovery import Recovery
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.live.servo.feedback import Feedback
 from backhoe_planner.live.servo.holding import Hold, find_hold
+from backhoe_planner.live.servo.joint_stop import STRAIGHT
 from backhoe_planner.live.servo.loads import Loads
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilter, VelocityWish
 from backhoe_planner.live.servo.servo_state import Command, ServoState
@@ -389,11 +391,21 @@ class Servo:
         path = self._check.path(self._state.q, self._state.v, step=False)
         path.place(self._at)
         self._bounds.measure(pairs, path, self._at)
+        if self._stop is None and self._may_stop_sooner(pairs):
+            self._stop = self._stops.stops_from(self._state.v)[STRAIGHT]
+            self._stops.forget()
         if self._stop is not None:
             self._require_clearance(pairs)
             self._stops.compare_again()
         if self._bounds.stands[pairs].any():
             self._recovery.changed()
+
+    def _may_stop_sooner(self, pairs: Indices) -> bool:
+        """Whether something among `pairs` (K,) is in the way of braking as it was planned, but not too near yet."""
+        near = pairs[np.isin(pairs, self._bounds.inside)]
+        if len(near) == 0 or not self._state.v.any():
+            return False
+        return bool((self._bounds.lower()[near] >= self._separation.clearance[near]).all())
 
     # --- one step ----------------------------------------------------------------------
 

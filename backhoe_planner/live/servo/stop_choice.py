@@ -1,4 +1,4 @@
-"""The choice of a stop for a machine on its track when something turns up and no stop is proven.
+"""The choice of a stop for a machine that moves when something turns up and no stop is proven.
 
 The machine could stop along its track, but that was proven for what was there before. If something new is in the way
 there, the machine may still stop beside it by leaving the track, at once or a little later. So the stops that its
@@ -6,6 +6,9 @@ accelerations allow are compared by the least margin on the way, to everything t
 itself. Planes bound the distances along a whole stop; only where these bounds are the smallest of all is anything
 measured, so that a stop that leads into something is soon known to. Of a cluster the boxes count that were found
 around the machine: they reach as far as it moves while it brakes straight ahead.
+
+A machine off a track brakes in a straight line, as planned with a part of its accelerations. If something turns up on
+that line, all of its accelerations, in a shorter line, are what the other stops are compared with.
 
 A step of the servo must not come late, least of all now. So each step looks at one or two stops, and the machine slows
 down along its track meanwhile, until one is found that leaves more room.
