@@ -19,6 +19,7 @@ from backhoe_planner.show import plot_envelope, plot_plan
 from backhoe_planner.show.drawing.kept_parts import kept_parts
 from backhoe_planner.show.drawing.timeline import timeline
 from backhoe_planner.show.plots import plots
+from backhoe_planner.show.plots.figure_file import new_figure, save_figure
 from backhoe_planner.show.plots.plots import moments_to_draw, torques_to_draw, with_rests_apart
 from backhoe_planner.site import scene_from_dict
 
@@ -208,10 +209,26 @@ def test_limits_that_the_legend_does_not_name_are_counted(
     monkeypatch.setattr(plots, "_BINDS", 0.0)  # whatever is used most binds
     monkeypatch.setattr(plots, "_MOST_NAMED", 1)
     made: list[Figure] = []  # drawing it takes four times as long as making it, and changes no text
-    monkeypatch.setattr(plots, "save_figure", lambda figure, *_: made.append(figure))
+    monkeypatch.setattr(plots, "save_figure", lambda figure, *_, **__: made.append(figure))
     plot_plan(a_plan(backhoe), tmp_path / "plan.svg")
     texts = [text.get_text() for text in made[0].findobj(Text)]
     assert any(re.search(r"\([1-9] more, shorter\)", text) for text in texts)
+
+
+def test_labels_beside_panels_stand_in_one_line_left_of_the_longest_number(tmp_path: Path) -> None:
+    file = tmp_path / "figure.svg"
+    figure = new_figure(file, 5.0, 4.0, inputs=())
+    panels = list(figure.subplots(3, 1))
+    for axes, largest in zip(panels, (1.0, 123456.0, 1e-4), strict=True):
+        axes.plot([0.0, 1.0], [-largest, largest])
+        axes.set_ylabel("value")
+    save_figure(figure, file, "title", panels=panels)
+    figure.draw_without_rendering()
+    labels = [axes.yaxis.label.get_window_extent() for axes in panels]
+    numbers = [text.get_window_extent() for axes in panels for text in axes.get_yticklabels()]
+    assert np.ptp([label.x1 for label in labels]) < 0.5  # pixels
+    assert max(label.x1 for label in labels) < min(number.x0 for number in numbers)
+    assert min(label.x0 for label in labels) > 0.0
 
 
 @pytest.mark.parametrize("name", ["plan.jpg", "plan", "plan.json"])

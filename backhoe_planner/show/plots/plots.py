@@ -27,7 +27,7 @@ from backhoe_planner.planning import Plan, compare_with_law, describe_saving
 from backhoe_planner.show.drawing.kept_parts import kept_parts
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
-from backhoe_planner.show.plots.figure_file import dress, new_figure, plain_text, save_figure
+from backhoe_planner.show.plots.figure_file import dress, new_figure, plain_text, save_figure, say_above
 from backhoe_planner.show.plots.leg_names import name_legs
 from backhoe_planner.show.plots.posture_plot import draw_posture, posture_heights
 
@@ -109,9 +109,8 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     named = name_legs(all_axes[0], plan, width=_PANEL_PART * _WIDTH * 72.0)
     all_axes[-1].set_xlabel("time [s]", fontsize=9)
     all_axes[-1].set_xlim(plan.trajectory.time[0], plan.trajectory.time[-1])
-    figure.align_ylabels(list(all_axes))
     _explain(all_axes[0], plan, "The motion ends before its task is done: " if plan.failure else "", above=named)
-    save_figure(figure, path, title)
+    save_figure(figure, path, title, panels=list(all_axes))
 
 
 def _explain(axes: Axes, plan: Plan, what: str, *, above: float = 0.0) -> None:
@@ -121,7 +120,7 @@ def _explain(axes: Axes, plan: Plan, what: str, *, above: float = 0.0) -> None:
     words = textwrap.fill(plain_text(f"{what}{plan.message}"), _LETTERS)
     below = axes.get_title("left")
     colour = _WRONG if not below else "black"
-    axes.set_title(f"{words}\n\n{below}", loc="left", fontsize=9.5, color=colour, pad=max(above, _TITLE_ABOVE))
+    say_above(axes, f"{words}\n\n{below}", loc="left", fontsize=9.5, color=colour, pad=max(above, _TITLE_ABOVE))
 
 
 def _positions(
@@ -407,7 +406,7 @@ def _legend(axes: Axes, *, more: Sequence[Line2D] = (), aside: float = 1.01) -> 
 
 
 def _say(axes: Axes, text: str) -> None:
-    axes.set_title(text, loc="right", fontsize=8, color="0.45", pad=3)
+    say_above(axes, text, loc="right", fontsize=8, color="0.45", pad=3)
 
 
 def _colour(index: int) -> str:
