@@ -131,6 +131,7 @@ def _print_motion(found: bp.Plan) -> None:
     _print_keep(found)
     if planning.has_tip_error(found):
         OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{_angle_error(found)} at most{_tolerated(found)}")
+    _print_reactions(found)
     for detour in metrics.detours:
         where = f"leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m"
         if detour.path_to - detour.path_from < _SAME_PLACE:
@@ -138,7 +139,6 @@ def _print_motion(found: bp.Plan) -> None:
         OUT.print(f"detour        {where}: {detour.length:.2f} m long, {detour.size}{_around(detour)}")
     if found.findings.waits > 0.0:
         OUT.print(f"waits         {found.findings.waits:.2f} s until moving obstacles have passed")
-    _print_reactions(found)
     visits = site.worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
     if visits:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""

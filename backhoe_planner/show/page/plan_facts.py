@@ -66,6 +66,8 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
         facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))
     facts += [_leg_fact(leg) for leg in plan.legs]
     facts += [_reaction_fact(reaction) for reaction in plan.findings.reactions]
+    if plan.findings.waits > 0.0:
+        facts.append(("Waits", f"{plan.findings.waits:.2f} s", "until moving obstacles have passed"))
     facts.append(("Duration", f"{plan.trajectory.duration:.2f} s", _about_duration(plan)))
     facts += _costs(plan)
     if is_recording(plan):
