@@ -8,12 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
+
 import backhoe_planner as bp
 from backhoe_planner import live, machine, motion, planning, proof, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, print_verdict, table_of
 from backhoe_planner.digits import left_text, margin_text
 
-_SAME_PLACE = 0.005  # m of path between the ends of a detour, below which it is a change of posture on the spot
+_SAME_PLACE = 0.005  # m of path between the ends of a detour, below which it comes back at the same place
+_SAME_POSTURE = 0.1  # rad or m between the joints at the ends of a detour, at most; chosen
 _MOST_PARTS = 3  # parts of a path that are listed one by one: chosen to fit into a line or two
 
 
@@ -135,7 +138,10 @@ def _print_motion(found: bp.Plan) -> None:
     for detour in metrics.detours:
         where = f"leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m"
         if detour.path_to - detour.path_from < _SAME_PLACE:
-            where = f"leaves the path at {detour.path_from:.2f} m, back at the same place in another posture"
+            ends = found.trajectory.at(np.array([detour.time_from, detour.time_to]))
+            turned = bool(np.max(np.abs(np.diff(ends, axis=0))) > _SAME_POSTURE)
+            where = f"leaves the path at {detour.path_from:.2f} m, back at the same place"
+            where += " in another posture" if turned else ""
         OUT.print(f"detour        {where}: {detour.length:.2f} m long, {detour.size}{_around(detour)}")
     if found.findings.waits > 0.0:
         OUT.print(f"waits         {found.findings.waits:.2f} s until moving obstacles have passed")
