@@ -71,7 +71,8 @@ def test_if_refining_pays_the_cheapest_other_motions_are_refined_too(
     [
         (0.9, [20, 28]),
         (1.3, [20, 28]),  # it costs less than a lift by a millimetre as soon as it is refined
-        (3.0, [20, 20, 28, 36, 36]),  # another motion, which costs a tenth more, after the first
+        (3.0, [20, 20, 28, 36, 52]),  # another motion, which costs a tenth more, after the first; 0.7^4 of 3 mm are 0.7
+        (6.0, [20, 20, 28, 36, 52, 72]),
     ],
 )
 def test_a_motion_that_costs_less_than_a_lift_by_a_millimetre_is_refined_twice_and_no_other_beside_it(
