@@ -209,12 +209,12 @@ class _OverTime:
                 yield task.from_rest(still, aside)
         for refuge in _refuges(known, stepper):
             onward = self._driven(task.from_rest(still, refuge.branch(attempt=refuge.attempt)), stepper.time)
-            yield onward
+            yield _aside(known, stepper, onward)
             later = None if onward.reason else _wait(known.proximity, onward, refuge)
             if later is None:
                 refuge.rest(stepper.time + _HORIZONS[-1])
                 later = task.from_rest(still, refuge)
-            yield later
+            yield _aside(known, stepper, later)
 
     def _from_rest_by_law(self, known: World, stepper: Stepper) -> Outcome | None:
         """The law's motion from the end of `stepper`, at rest, among obstacles as they move; None if there is none."""
@@ -380,6 +380,16 @@ def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
         transit = find_transit(_swept_world(known, stepper.time, horizon), stepper, clear)
         if isinstance(transit, Stepper) and _is_clear(known.proximity, transit.trajectory(), stepper.time):
             yield transit
+
+
+def _aside(known: World, stepper: Stepper, outcome: Outcome) -> Outcome:
+    """The outcome by way of a refuge, whose first detour from a path is for what moves past the end of `stepper`."""
+    detours = outcome.findings.detours
+    passing = _swept_world(known, stepper.time, _HORIZONS[-1]).proximity.tightest(stepper.q)
+    if not detours or passing is None:
+        return outcome
+    first = replace(passing, time=stepper.time, path_from=detours[0].path_from, path_to=detours[0].path_to)
+    return outcome.adding(detours=(first, *detours[1:]))
 
 
 def _delay(motion: Trajectory, since: float, wait: float) -> Trajectory:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.motion import build_problem
+from backhoe_planner.planning.moving_obstacles import _aside
+from backhoe_planner.planning.search.effort import EFFORTS, Brake, Work
+from backhoe_planner.planning.world.outcome import Outcome
+from backhoe_planner.planning.world.world import World
+from backhoe_planner.site import Obstruction
 from validation.independent_check import refutations
 
 Data = dict[str, Any]
@@ -211,3 +218,34 @@ def test_a_max_duration_that_no_motion_past_a_car_can_keep_is_refused_with_the_b
     plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
     assert plan.reason == "outside_limits"
     assert float(plan.message.partition("less than ")[2].split()[0]) == pytest.approx(free.bound.duration, rel=0.02)
+
+
+def test_a_detour_to_a_place_where_a_worker_does_not_pass_is_for_the_worker(backhoe: bp.Robot) -> None:
+    """Planned on from that place, it seems to be for a joint at its limit; what is further along the path stays."""
+    world = World(build_problem(backhoe, site(PATH, CROSSING)), seed=0, work=Work(EFFORTS["quick"], Brake()))
+    stepper = world.stepper(np.array([0.0, 0.8, -1.6, -0.8]))  # he walks over where the tip is
+    apart = Obstruction.joint_limit("swing")
+    detours = (replace(apart, path_from=0.6, path_to=0.7), replace(apart, obstacle="boom", path_from=2.0, path_to=2.1))
+    [first, second] = _aside(world, stepper, Outcome(stepper.trajectory()).adding(detours=detours)).findings.detours
+    assert (first.obstacle, first.kind, first.path_from, first.path_to) == ("worker", "obstacle", 0.6, 0.7)
+    assert first.margin < 0.0
+    assert second == detours[1]
+    goal = Outcome(stepper.trajectory())
+    assert _aside(world, stepper, goal) is goal
+
+
+@pytest.mark.long
+def test_a_machine_that_steps_aside_for_a_worker_says_so(backhoe: bp.Robot) -> None:
+    walker = WORKER | {
+        "from": [4.0, 3.0, 0.0], "to": [4.0, 3.0, 1.5], "clearance": 1.0, "appears_at": 2.0,
+        "velocity": [0.0, -0.5, 0.0],
+    }  # fmt: skip
+    waypoints = [{"position": [4.6, 0.0, -0.3]}, {"position": [2.9, 0.0, -1.1]}]
+    content = {"version": 1, "task": {"path": {"waypoints": waypoints, "speed": 0.3}}, "obstacles": [walker]}
+    found = bp.plan(backhoe, bp.scene_from_dict(content))
+    assert found.verified
+    [detour] = found.metrics.detours
+    assert detour.obstruction is not None
+    assert detour.obstruction.obstacle == "worker"
+    assert found.metrics.objective is not None
+    assert found.metrics.objective.law_breaks == detour.obstruction
