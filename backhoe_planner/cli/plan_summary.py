@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-import numpy as np
-
 import backhoe_planner as bp
 from backhoe_planner import live, machine, motion, planning, proof, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, print_verdict, table_of
@@ -138,8 +136,8 @@ def _print_motion(found: bp.Plan) -> None:
     for detour in metrics.detours:
         where = f"leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m"
         if detour.path_to - detour.path_from < _SAME_PLACE:
-            ends = found.trajectory.at(np.array([detour.time_from, detour.time_to]))
-            turned = bool(np.max(np.abs(np.diff(ends, axis=0))) > _SAME_POSTURE)
+            before, after = (found.trajectory.at(at).tolist() for at in (detour.time_from, detour.time_to))
+            turned = max(abs(b - a) for a, b in zip(before, after, strict=True)) > _SAME_POSTURE
             where = f"leaves the path at {detour.path_from:.2f} m, back at the same place"
             where += " in another posture" if turned else ""
         OUT.print(f"detour        {where}: {detour.length:.2f} m long, {detour.size}{_around(detour)}")
