@@ -134,12 +134,7 @@ def _print_motion(found: bp.Plan) -> None:
         OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{_angle_error(found)} at most{_tolerated(found)}")
     _print_reactions(found)
     for detour in metrics.detours:
-        where = f"leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m"
-        if detour.path_to - detour.path_from < _SAME_PLACE:
-            before, after = (found.trajectory.at(at).tolist() for at in (detour.time_from, detour.time_to))
-            turned = max(abs(b - a) for a, b in zip(before, after, strict=True)) > _SAME_POSTURE
-            where = f"leaves the path at {detour.path_from:.2f} m, back at the same place"
-            where += " in another posture" if turned else ""
+        where = f"leaves the path at {detour.path_from:.2f} m, back {_back_at(found.trajectory, detour)}"
         OUT.print(f"detour        {where}: {detour.length:.2f} m long, {detour.size}{_around(detour)}")
     if found.findings.waits > 0.0:
         OUT.print(f"waits         {found.findings.waits:.2f} s until moving obstacles have passed")
@@ -238,6 +233,15 @@ def print_recording(plan: bp.Plan) -> None:
         OUT.print(f"recording     driven by hand, {plan.trajectory.duration:.2f} s")
     for note in live.unrecorded_changes(plan):
         OUT.print(f"left out      {note}")
+
+
+def _back_at(along: bp.Trajectory, detour: bp.Detour) -> str:
+    """Where a detour of a motion comes back to the path, in words, and whether the joints stand otherwise there."""
+    if detour.path_to - detour.path_from >= _SAME_PLACE:
+        return f"at {detour.path_to:.2f} m"
+    before, after = (along.at(at).tolist() for at in (detour.time_from, detour.time_to))
+    turned = bool(max(abs(b - a) for a, b in zip(before, after, strict=True)) > _SAME_POSTURE)
+    return "at the same place" + " in another posture" * turned
 
 
 def _around(detour: bp.Detour) -> str:
