@@ -126,7 +126,13 @@ def test_a_path_begun_anywhere_is_the_one_without_what_appears(backhoe: bp.Robot
     above = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [*tip[:2].tolist(), float(tip[2]) + 0.5]}
     found = plan(backhoe, PATH, above | {"appears_at": moment})
     assert same_until(alone.trajectory, found.trajectory, moment)
-    assert same_until(plan(backhoe, PATH, above | {"appears_at": 99.0}).trajectory, alone.trajectory, 99.0)
+
+
+@pytest.mark.long
+def test_a_path_begun_anywhere_does_not_depend_on_what_appears_after_it(backhoe: bp.Robot, alone: bp.Plan) -> None:
+    tip = Kinematics(backhoe).at(alone.trajectory.q[-1]).tip_position
+    late = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": tip.tolist(), "appears_at": 99.0}
+    assert same_until(plan(backhoe, PATH, late).trajectory, alone.trajectory, 99.0)
 
 
 def test_what_appears_while_the_machine_brakes_for_another_obstacle_counts_although_the_task_fails(

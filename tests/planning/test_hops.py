@@ -176,7 +176,7 @@ def test_a_curve_beside_another_is_the_most_folded_of_those_drawn(
     np.testing.assert_array_equal(reach[8], np.min(np.reshape(reach[1], (8, 8)), axis=1))  # the same random curves
 
 
-@pytest.mark.parametrize("objective", ["effort", "hydraulic"])
+@pytest.mark.parametrize("objective", ["effort", pytest.param("hydraulic", marks=pytest.mark.long)])
 def test_only_for_little_work_there_are_hops(
     backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch, objective: str
 ) -> None:

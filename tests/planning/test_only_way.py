@@ -95,6 +95,7 @@ def test_a_way_beside_the_obstacle_and_one_that_opens_are_still_found(tmp_path: 
     assert moving.verified, moving.message
 
 
+@pytest.mark.long
 def test_a_goal_whose_tolerance_ends_before_the_obstacle_is_left_to_the_search(tmp_path: Path) -> None:
     found = plan(tmp_path, "revolute", {**TIP, "tolerance": 1.4}, FRONT)
     assert not found.message.startswith("the only way")
