@@ -105,14 +105,13 @@ class Problem:
         if time == 0.0 or not self.is_dynamic:
             return self.obstacles
         return tuple(
-            replace(one, appears_at=one.appears_at - time) if one.moves or one.appears_at > 0.0 else one
-            for one in self.obstacles
+            replace(one, appears_at=one.appears_at - time) if one.is_dynamic else one for one in self.obstacles
         )
 
     @property
     def is_dynamic(self) -> bool:
         """Whether any obstacle moves or appears."""
-        return any(obstacle.moves or obstacle.appears_at > 0.0 for obstacle in self.obstacles)
+        return any(obstacle.is_dynamic for obstacle in self.obstacles)
 
     @property
     def present(self) -> tuple[Obstacle, ...]:

@@ -309,8 +309,7 @@ class _OverTime:
                 clear = clear or stepper
         if clear is None:
             return None, True
-        use = self._drive.use_along(clear.trajectory().moments())
-        return clear, max(float(np.max(use.effort)), float(np.max(use.speeds))) <= 1.0 + DRIVE_TOLERANCE
+        return clear, self._drive.use_along(clear.trajectory().moments()).most <= 1.0 + DRIVE_TOLERANCE
 
     def _halt(self, motion: Trajectory, moment: float, why: str, obstruction: Obstruction | None = None) -> _Reply:
         """`motion` up to `moment` [s], then braking to rest along it, clear or not."""
@@ -385,8 +384,10 @@ def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
 def _aside(known: World, stepper: Stepper, outcome: Outcome) -> Outcome:
     """The outcome by way of a refuge, whose first detour from a path is for what moves past the end of `stepper`."""
     detours = outcome.findings.detours
+    if not detours:
+        return outcome
     passing = _swept_world(known, stepper.time, _HORIZONS[-1]).proximity.tightest(stepper.q)
-    if not detours or passing is None:
+    if passing is None:
         return outcome
     first = replace(passing, time=stepper.time, path_from=detours[0].path_from, path_to=detours[0].path_to)
     return outcome.adding(detours=(first, *detours[1:]))

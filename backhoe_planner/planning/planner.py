@@ -100,7 +100,7 @@ def _met_in_wait(problem: Problem, certificate: Certificate) -> str:
     if certificate.verified or tightest is None or tightest.margin >= 0.0:
         return ""
     obstacle = next((one for one in problem.obstacles if one.name == tightest.name), None)
-    if obstacle is None or not (obstacle.moves or obstacle.appears_at > 0.0):
+    if obstacle is None or not obstacle.is_dynamic:
         return ""
     when = problem.begins + obstacle.appears_at
     how = f"appears at {when:.2f} s" if obstacle.appears_at > 0.0 else "moves"

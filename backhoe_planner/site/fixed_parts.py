@@ -54,7 +54,7 @@ def stands_in(
     """
     moved = pin.SE3.Identity() if base is None else base.placement * robot.base.placement.inverse()
     for obstacle in obstacles:
-        if obstacle.moves or obstacle.appears_at > 0.0 or obstacle.links is not None or obstacle.zone is not None:
+        if obstacle.is_dynamic or obstacle.links is not None or obstacle.zone is not None:
             continue
         margin = obstacle.clearance if with_clearance else -_OVERLAP
         lifts = (0.0, PASSES_UNDER + max(margin, 0.0))
@@ -77,7 +77,7 @@ def starts_in(robot: Robot, obstacles: Sequence[Obstacle], q: Vector, *, base: B
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     for obstacle in obstacles:
-        if obstacle.moves or obstacle.appears_at > 0.0:
+        if obstacle.is_dynamic:
             continue
         there = [(one.shape, _transform(one.placement)) for one in obstacle.pieces]
         for row in robot.pieces_of(obstacle.links):

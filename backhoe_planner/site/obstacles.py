@@ -98,6 +98,11 @@ class Obstacle:
         """Whether it has a velocity."""
         return bool(np.any(self.velocity))
 
+    @property
+    def is_dynamic(self) -> bool:
+        """Whether it moves, or appears later."""
+        return self.moves or self.appears_at > 0.0
+
 
 def as_obstacles(given: Iterable[Obstacle]) -> tuple[Obstacle, ...]:
     """Check obstacles that are passed to a public function or class.

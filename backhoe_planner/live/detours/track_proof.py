@@ -290,8 +290,7 @@ def _is_proven(plan: Plan, reference: Reference, dt: float) -> bool:
 
     Obstacles that are present in some legs only may come and go with these.
     """
-    changes = any(one.moves or one.appears_at > 0.0 for one in plan.problem.obstacles)
-    if changes or not (plan.verified and reference.keeps_limits):
+    if plan.problem.is_dynamic or not (plan.verified and reference.keeps_limits):
         return False
     if not plan.legs:
         return _is_clear(plan.problem, plan.trajectory, plan.certificate.clearances, reference, dt, begins=0.0)

@@ -111,8 +111,7 @@ def _keeping(drive: Drive, q: Vector, before: Vector, after: Matrix, step: float
 
 def _use(drive: Drive, motion: Trajectory) -> float:
     """The greatest use of the drive."""
-    use = drive.use_along(motion.moments(longest=np.inf))
-    return max(float(np.max(use.effort)), float(np.max(use.speeds)))
+    return drive.use_along(motion.moments(longest=np.inf)).most
 
 
 def _rounded(motion: Trajectory) -> SmoothWay:

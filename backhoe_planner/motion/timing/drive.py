@@ -48,6 +48,11 @@ class DriveUse:
     power: Array
 
     @property
+    def most(self) -> float:
+        """The greatest use of any limit."""
+        return max(float(np.max(self.effort)), float(np.max(self.speeds)))
+
+    @property
     def speeds(self) -> Array:
         """(K, n + 2) rod speed of each joint, flow, power; at most `_MOST`."""
         return np.minimum(np.column_stack((self.rod_speed, self.flow, self.power)), _MOST)

@@ -41,8 +41,8 @@ def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
     """
     problem, motion = begun.problem, arrived.trajectory()
     first = int(np.searchsorted(motion.time, begun.time - 1e-9))
-    timed = any(obstacle.moves or obstacle.appears_at > 0.0 for obstacle in begun.proximity.obstacles)
-    if timed or len(motion) - first < 3:
+    is_dynamic = any(obstacle.is_dynamic for obstacle in begun.proximity.obstacles)
+    if is_dynamic or len(motion) - first < 3:
         return arrived
     limits, drive = problem.limits, drive_of(problem)
     q, took = motion.q[first:], motion.time[-1] - motion.time[first]

@@ -28,11 +28,10 @@ from backhoe_planner.planning.world.world import World
 # take ever longer; chosen: 36 pieces of seven joints take 1 to 2 s, and mostly gain too little before to be tried. On
 # one cluttered site of the backhoe 12, 20, 28, 36, 52 and 72 pieces cost 208, 106, 66, 57, 42 and 38 J
 _FINER_PIECES, _MOST_FINE = (20, 28, 36, 52, 72), 288
-# part of the cost that each refinement must gain for the next to follow; chosen: if the first gains less, the next
-# mostly gain nothing, and if it gains more, they may gain a third
-_MUCH_GAIN = (0.01, 0.05, 0.05, 0.05)
-# the same for frugal searches; measured: the next gains a quarter of a gain
-_MUCH_GAIN_FRUGAL = (0.04, 0.05, 0.05, 0.05)
+# part of the cost that the first refinement must gain for the next to follow, the same for frugal searches, and what
+# each later one must gain; chosen: if the first gains less, the next mostly gain nothing; if more, they may
+# gain a third. Measured: the next gains a quarter of a gain
+_FIRST_GAIN, _FIRST_GAIN_FRUGAL, _NEXT_GAIN = 0.01, 0.04, 0.05
 _FINER = 8  # times more fine rounds for another cost than the time; chosen
 # other motions that are refined if refining pays, and up to how many times the cost of the best; chosen
 _OTHERS_REFINED, _NEARLY_AS_CHEAP = 2, 1.2
@@ -85,7 +84,7 @@ class Refining:
 
     def __init__(self, world: World, descents: CostDescents) -> None:
         self._problem, self._work, self._seed = world.problem, world.work, world.seed
-        self._much = _MUCH_GAIN_FRUGAL if is_frugal(world) else _MUCH_GAIN
+        self._first_gain = _FIRST_GAIN_FRUGAL if is_frugal(world) else _FIRST_GAIN
         self._little, self._lift = little_cost(world), lift_of(world.problem)
         self._descents, self._kinematics = descents, BatchKinematics(world.problem.robot)
         self.before: FoundMotion | None = None
@@ -134,10 +133,10 @@ class Refining:
         most = max(_MOST_FINE // self._problem.robot.n, _FINER_PIECES[0])
         for turn, pieces in enumerate(min(each, most) for each in _FINER_PIECES):
             before = self._best()
-            if not self._refine(before, pieces) or turn == len(self._much):
+            if not self._refine(before, pieces):
                 return
             best = self._best()
-            if best.cost > (1.0 - self._much[turn]) * before.cost:
+            if best.cost > (1.0 - (_NEXT_GAIN if turn else self._first_gain)) * before.cost:
                 return
             is_little = best.cost <= self._little
             if turn > 0 and is_little:

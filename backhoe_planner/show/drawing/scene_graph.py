@@ -380,7 +380,7 @@ class SceneGraph:
             self._place("kept", f"axis {number}", axis)
             self._place("kept", f"cone {number}", cone)
         for obstacle in self.problem.obstacles:
-            if obstacle.moves or obstacle.appears_at > 0.0:
+            if obstacle.is_dynamic:
                 self.place(obstacle.name, None if time < obstacle.appears_at else offset_at(obstacle, time))
         for name, point in zip(self._obstacles, nearest, strict=False):
             self.point(name, point)
@@ -506,7 +506,7 @@ class SceneGraph:
         for obstacle in self.problem.obstacles:
             legs = obstacle.spec.legs
             there = np.array([legs is None or leg in legs for leg in timeline.legs] or [True] * len(timeline.time))
-            if obstacle.moves or obstacle.appears_at > 0.0 or not there.all():
+            if obstacle.is_dynamic or not there.all():
                 offset = np.array([offset_at(obstacle, moment) for moment in timeline.time])
                 size = np.where((timeline.time < obstacle.appears_at) | ~there, HIDDEN, 1.0)
                 for group in ("site", "clearance"):

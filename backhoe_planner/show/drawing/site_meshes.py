@@ -189,7 +189,7 @@ def _colour(obstacle: Obstacle, drawn: trimesh.Trimesh) -> Rgba:
     shape = obstacle.spec.shape
     if obstacle.zone is not None:
         return (*_ZONE, 0.3)
-    if obstacle.moves or obstacle.appears_at > 0.0:
+    if obstacle.is_dynamic:
         return (*_MOVING, 1.0)
     if shape == "box" and high[2] <= _LEVEL:  # ground next to or under the work
         return (*SOIL, 0.42)

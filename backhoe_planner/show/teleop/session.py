@@ -152,7 +152,7 @@ class Session:
         self._servo = Servo(robot, scene, dt, watchdog=_WATCHDOG, feedback=feedback, load=self._load)
         self.robot, self.scene, self.dt = self._servo.robot, scene, dt
         self._site = LiveSite(self._servo)
-        self._changes_by_itself = any(one.moves or one.appears_at > 0.0 for one in self._site.obstacles)
+        self._changes_by_itself = any(one.is_dynamic for one in self._site.obstacles)
         self._zones = ZoneLog(self.robot, scene)
         self._pages: list[int] = []
         self._asking: list[int] = []
